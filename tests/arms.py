@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.friction.table import Friction, speed_grid
-from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
+from ideal_robot.loop.loop import Cascade, CommandPath, Compensation, Drives, Loop, checked, low_pass_taps
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from studies.strangers import drive
@@ -134,8 +134,9 @@ def plant(*, inertia: float = 1.0, friction: float = 1.0, stiffness: float = 1.0
                none, np.zeros(n), np.zeros(n)),
         a_friction(speeds, friction * np.tile(dry[:, None], speeds.shape[1]), 0.5 * friction * dry[:, None]
                    * np.sqrt(speeds), 3e-4),
-        Cascade(np.full(n, 20.0), np.full(n, 0.93), k_p, k_p / 0.05, np.full(n, 1e-3), ROBOT.tau_max, 1.0, np.zeros(n),
-                np.ones(n), 0.0, np.zeros(n), np.ones(n), chain, ROBOT.rotor_inertia),
+        Cascade(np.full(n, 20.0), np.full(n, 0.93), np.zeros(n), 0.0, k_p, k_p / 0.05, np.full(n, 1e-3), ROBOT.tau_max,
+                1.0),
+        Compensation.none(chain, ROBOT.rotor_inertia),
         CommandPath(low_pass_taps(1.5e-3, 2, 0.002, n), delay, T, 0.002, 0.0005, ROBOT.q_min, ROBOT.q_max,
                     ROBOT.v_max)))
 

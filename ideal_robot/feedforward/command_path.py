@@ -11,16 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
-from ideal_robot.loop.loop import Loop
+from ideal_robot.loop.loop import Cascade, Loop
 
 
 @dataclass(frozen=True)
 class CommandPathInverse:
     """Gains of the first command.
 
-    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
+    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ + k_a r̈`` at the position cycles of the ``m`` next
     interpolation cycles in which the command can act, ``past (n, P)`` of the commands before, oldest first.
     """
 
@@ -42,7 +43,8 @@ def command_path_inverse(loop: Loop, cycles: int) -> CommandPathInverse:
     """Solves for the first of ``cycles`` commands, which are solved for together, once and for all."""
     s, n = loop.steps_ipo, loop.n
     taps, cascade = loop.path.command_filter, loop.cascade
-    n_past = int(np.ceil(len(taps) / s)) + 2
+    # Of two lags in a row 1e-5 is left after 15 times their time constant.
+    n_past = int(np.ceil((len(taps) + 15.0 * cascade.t_rate / loop.path.t_position) / s)) + 2
     knots = n_past + cycles
     # Linear interpolation: from the knots to the fine grid, which ends just before the last knot.
     fine = s * (knots - 1)
@@ -59,12 +61,26 @@ def command_path_inverse(loop: Loop, cycles: int) -> CommandPathInverse:
         # Before the oldest knot the command counts as constant.
         response[:, 0] += 1.0 - response.sum(axis=1)
         position = response @ interpolation
-        signal = cascade.k_v[i] * position
-        signal[1:] += cascade.k_ff[i] / loop.path.t_position * np.diff(position, axis=0)
-        signal = signal[-s * cycles :] / cascade.k_v[i]
+        signal = position_loop_signal(cascade, i, position, loop.path.t_position)[-s * cycles :] / cascade.k_v[i]
         free, forced, weight = signal[:, :n_past], signal[:, n_past:], _SMOOTHNESS * np.sqrt(s)
         first = np.linalg.pinv(np.vstack([forced, weight * second[:, 2:]]))[0]
         wanted[i] = first[: s * cycles] / cascade.k_v[i]
         past[i] = -first[: s * cycles] @ free
         past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])
     return CommandPathInverse(wanted, past)
+
+
+def position_loop_signal(cascade: Cascade, i: int, r: Array, t_position: float) -> Array:
+    """What the position loop makes of its reference, ``k_v r + k_ff ṙ + k_a r̈``, at rest before ``(N, k)`` [rad/s].
+
+    Args:
+        cascade, i: of all joints, and which of them, from 0.
+        r: references in columns ``(N, k)`` [rad].
+        t_position: the loop's cycle [s].
+    """
+    signal, rate = cascade.k_v[i] * r, r
+    passed = -np.expm1(-t_position / cascade.t_rate) if cascade.t_rate > 0.0 else 1.0
+    for gain in (cascade.k_ff[i], cascade.k_a[i]):
+        rate = lfilter([passed / t_position], [1.0, passed - 1.0], np.diff(rate, axis=0, prepend=rate[:1]), axis=0)
+        signal = signal + gain * rate
+    return np.asarray(signal)

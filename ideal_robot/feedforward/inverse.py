@@ -13,7 +13,7 @@ What comes then is a setting.
 *Complete* (``COMPLETE``): the loops at their own cycles, and the command path,
 
     τ̇_d = k_p u̇ + k_i u                         velocity loop inverted, [G] (17), (18)
-    k_v r + k_ff ṙ = u + q̇_m + k_v q_m           position loop inverted, [G] (16), (19)
+    k_v r + k_ff ṙ + k_a r̈ = u + q̇_m + k_v q_m   position loop inverted, [G] (16), (19)
     r = low-pass(interpolation(q_c(k - delay)))  command path inverted by least squares over the horizon
 
 *As printed* (``PRINTED``): the controller at the interpolation cycle T, the command path left out,
@@ -37,6 +37,7 @@ import numpy as np
 from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
+from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.feedforward.base import SETTLE, CommandLimits, Feedforward
 from ideal_robot.feedforward.command_path import command_path_inverse
 from ideal_robot.feedforward.path_operators import Operators
@@ -45,13 +46,14 @@ from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import (
     Cascade,
+    Compensation,
     Drives,
     Loop,
     behind_uneven_gears,
     compensated,
     further_torque,
+    gains_at,
     ripple_torque,
-    scheduled,
     sheet_torque,
     unevenness,
 )
@@ -146,12 +148,17 @@ def command_lag(loop: Loop) -> float:
 
 
 class _Planned(NamedTuple):
-    """Velocity-loop error, motor torque, what the integrator sums up and reference, ``(n,)`` each [rad/s, N m, rad]."""
+    """Velocity-loop error, its torque and what the integrator sums up, reference with rates, ``(n,)`` each.
+
+    In rad/s, N m, rad/s, rad, rad/s, rad/s².
+    """
 
     u: Array
     tau: Array
     summed: Array
     reference: Array
+    rate: Array
+    bend: Array
 
 
 @dataclass(frozen=True)
@@ -220,7 +227,7 @@ class Inverse(Feedforward):
         self._damped = drives.damping * self._compliance**2
         self._gap = drives.half_gap if options.elastic else np.zeros(loop.n)
         self._gaps = bool(self._gap.any())
-        self._adds, self._sags = bool(loop.cascade.bodies.any()), bool((loop.cascade.k_i == 0.0).any())
+        self._adds, self._sags = bool(loop.compensation.bodies.any()), bool((loop.cascade.k_i == 0.0).any())
         self._lag = loop.cascade.t_filter + 0.5 * loop.path.t_velocity
         self._limits = CommandLimits.of(loop.path)
 
@@ -244,11 +251,14 @@ class Inverse(Feedforward):
         holding = load[0] if more is None else load[0] + more[0]
         deflection = load[0] * self._compliance + self._gap * side_of_gap(load[0], still[0], loop.drives.gap_load)
         deflection -= [unevenness(loop.drives.uneven, i, float(q))[0] for i, q in enumerate(q0)]
-        tau = loop.drives.gain * (holding + loop.drives.offset) + further - sheet_torque(loop.cascade, q0, still[0])
+        tau = loop.drives.gain * (holding + loop.drives.offset) + further
+        tau -= sheet_torque(loop.compensation, q0, still[0])
+        if loop.compensation.coupled:
+            tau = np.linalg.solve(gains_at(loop.compensation, q0), tau)
         sag = np.where(loop.cascade.k_i > 0.0, 0.0, tau / loop.cascade.k_p)
         return InverseState(
             q_d=np.tile(q0, (ROWS_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)),
-            planned=_Planned(sag, tau, still[0], q0), sag=sag,
+            planned=_Planned(sag, tau, still[0], q0, still[0], still[0]), sag=sag,
             q_m=q0, v_m=still[0],
             presliding=Presliding.none(loop.n), deflection=deflection, cycle=0)
 
@@ -310,20 +320,19 @@ class Inverse(Feedforward):
         """The command ``(n,)`` [rad], and what is planned one cycle on, for the motors' motion and torques it takes."""
         loop, path = self.loop, self.loop.path
         if self._adds:
-            added = inverse_dynamics(loop.cascade.sheet, motors.q, motors.v, np.zeros_like(motors.q))
-            further = further - loop.cascade.bodies * added
+            added = inverse_dynamics(loop.compensation.sheet, motors.q, motors.v, np.zeros_like(motors.q))
+            further = further - loop.compensation.bodies * added
         if self.options.path:
-            signal, planned = _position_loop_signal(loop.drives, self._cascade(motors), motors, acting, further,
-                                                    self._lag, path.t_position, loop.steps_ipo, state.planned)
+            wanted = _loop_torques(loop.drives, loop.compensation, motors, acting, further)
+            signal, planned = _position_loop_signal(self._cascade(motors), motors, wanted, self._lag, path.t_position,
+                                                    loop.steps_ipo, state.planned)
             if self._sags:
                 signal -= state.sag * eased(self._remaining(state))
             q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._limits)
             return q_c, planned
-        gains = _printed_gains(self._cascade(motors), self.t_ipo) if loop.cascade.schedule else self._printed
+        gains = _printed_gains(self._cascade(motors), self.t_ipo) if loop.compensation.schedule else self._printed
         (q, qd, qdd), T = (rows[0] for rows in motors), self.t_ipo
-        ripple = np.array([ripple_torque(loop.drives.ripple, i, float(angle)) for i, angle in enumerate(q)])
-        tau = loop.drives.gain * (acting[0] + ripple) + further[0]
-        tau = tau - [compensated(loop.cascade, i, float(speed)) for i, speed in enumerate(qd)]
+        tau = _loop_torques(loop.drives, loop.compensation, motors, acting, further)[0]
         u = (tau - state.planned.tau + state.planned.u) / (1.0 + gains.k_i)
         before = state.q_c[-1] - state.q_m
         correction = (u + gains.k_d * before / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
@@ -331,10 +340,10 @@ class Inverse(Feedforward):
 
     def _cascade(self, motors: _Motion) -> Cascade:
         """The loops with the gains that they have where the motion begins."""
-        cascade = self.loop.cascade
-        if not cascade.schedule:
+        cascade, compensation = self.loop.cascade, self.loop.compensation
+        if not compensation.schedule:
             return cascade
-        follows = scheduled(cascade, motors.q[0])
+        follows = np.diag(gains_at(compensation, motors.q[0]))
         return cascade._replace(k_p=follows * cascade.k_p, k_i=follows * cascade.k_i)
 
     def _checked(self, q_d: Array) -> Array:
@@ -406,42 +415,69 @@ def _command(wanted: Array, signal: Array, past: Array, q_c: Array, limits: Comm
 
 
 @jit()
-def _position_loop_signal(drives: Drives, cascade: Cascade, motors: _Motion, acting: Array, further: Array, lag: Array,
-                          t_position: float, steps: int, before: _Planned) -> tuple[Array, _Planned]:
-    """The signal ``k_v r + k_ff ṙ`` that the position loop must see ``(f, n)``, and what is planned one cycle on.
+def _loop_torques(drives: Drives, compensation: Compensation, motors: _Motion, acting: Array, further: Array) -> Array:
+    """What velocity loops have to give at the record's gains, but for a schedule ``(f, n)`` [N m].
 
     ``acting`` is the motor torque with friction, without ripple, ``further`` that of other effects, ``(f, n)`` [N m].
     """
     N, n = acting.shape
+    wanted = np.empty((N, n))
+    for j in range(N):
+        for i in range(n):
+            torque = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, motors.q[j, i])) + further[j, i]
+            # The command moves as the motor does, but for what is corrected.
+            wanted[j, i] = torque - compensated(compensation, i, motors.v[j, i])
+        if compensation.coupled:
+            # M diag(1/J_0) x = τ; M is positive definite.
+            M = gains_at(compensation, motors.q[j]) * compensation.scheduled_at
+            if factor(M):
+                solve(M, wanted[j])
+                wanted[j] *= compensation.scheduled_at
+    return wanted
+
+
+@jit()
+def _position_loop_signal(cascade: Cascade, motors: _Motion, wanted: Array, lag: Array, t_position: float, steps: int,
+                          before: _Planned) -> tuple[Array, _Planned]:
+    """The signal ``k_v r + k_ff ṙ + k_a r̈`` that the position loop must see ``(f, n)``, and what is planned a cycle on.
+
+    ``wanted`` is what the velocity loops have to give ``(f, n)`` [N m].
+    """
+    N, n = wanted.shape
     signal = np.empty((N, n))
     u_next, tau_next, summed_next = before.u.copy(), before.tau.copy(), before.summed.copy()
-    reference_next = before.reference.copy()
+    reference_next, rate_next, bend_next = before.reference.copy(), before.rate.copy(), before.bend.copy()
     k_p, k_i, k_v, w = cascade.k_p, cascade.k_i, cascade.k_v, cascade.integrated
+    passed = 1.0 - np.exp(-t_position / cascade.t_rate) if cascade.t_rate > 0.0 else 1.0
+    step = passed / t_position
     for i in range(n):
-        u, tau, summed, reference = before.u[i], before.tau[i], before.summed[i], before.reference[i]
+        u, tau, summed = before.u[i], before.tau[i], before.summed[i]
+        reference, rate, bend = before.reference[i], before.rate[i], before.bend[i]
         half = 0.5 * k_i[i] * t_position
-        ahead = cascade.k_ff[i] / t_position
+        ahead = step * (cascade.k_ff[i] + step * cascade.k_a[i])
         share = k_v[i] / (k_v[i] + ahead)
         for j in range(N):
             q, v = motors.q[j, i], motors.v[j, i]
-            wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q)) + further[j, i]
-            # The command moves as the motor does, but for what is corrected.
-            wanted -= compensated(cascade, i, v)
             # Half a position cycle back to the instant at which the position is compared.
             measured, compared = v - lag[i] * motors.a[j, i], k_v[i] * (q - 0.5 * t_position * v)
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (s + s_before)/2 = Δτ, s = w u + (1 - w) k_v (r - q),
-            # where k_v r + k_ff ṙ is the signal: k_v (r - q) = share u + rest.
+            # where the signal is linear in r and what its rates were: k_v (r - q) = share u + rest.
             if w == 1.0:
-                u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
+                u = (wanted[j, i] - tau + u * (k_p[i] - half)) / (k_p[i] + half)
             else:
-                rest = share * (measured + compared + ahead * reference) - compared
-                u = (wanted - tau + k_p[i] * u - half * (summed + (1.0 - w) * rest)) / (
+                fading, curving = (1.0 - passed) * rate - step * reference, (1.0 - passed) * bend - step * rate
+                still = cascade.k_ff[i] * fading + cascade.k_a[i] * (curving + step * fading)
+                rest = share * (measured + compared - still) - compared
+                u = (wanted[j, i] - tau + k_p[i] * u - half * (summed + (1.0 - w) * rest)) / (
                     k_p[i] + half * (w + (1.0 - w) * share))
                 summed = w * u + (1.0 - w) * (share * u + rest)
                 reference = (summed - w * u) / ((1.0 - w) * k_v[i]) + compared / k_v[i]
-            tau = wanted
+                rate = fading + step * reference
+                bend = curving + step * rate
+            tau = wanted[j, i]
             # [G] (19).
             signal[j, i] = u + measured + compared
             if j == steps - 1:
-                u_next[i], tau_next[i], summed_next[i], reference_next[i] = u, tau, summed, reference
-    return signal, _Planned(u_next, tau_next, summed_next, reference_next)
+                u_next[i], tau_next[i], summed_next[i] = u, tau, summed
+                reference_next[i], rate_next[i], bend_next[i] = reference, rate, bend
+    return signal, _Planned(u_next, tau_next, summed_next, reference_next, rate_next, bend_next)

@@ -3,36 +3,39 @@
 [G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
 A recording at the position loop's cycle allows better: the cascade
 
-    r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ - q̇_f ,  τ = k_p u + k_i ∫u + τ_c tanh(ṙ / v_c) + c
+    r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ + k_a r̈ - q̇_f
+    τ = k_p u + k_i ∫u + τ_c tanh(ṙ / v_c) + c
 
 is simulated with the *measured* angles, so neither rigid body nor friction enters, and its parameters are those
 whose torque comes closest to the measured one over the whole recording (simulated, not predicted a step ahead, as
 [G] Fig. 17 teaches). What a drive logs as its torque is the present one, or the mean since the last sample, which is a
 millisecond or two older. Taken for the other, gains come out wrong by a fifth; the one that fits better is taken.
-Written out, τ is linear in k_p k_v, k_p k_ff and k_p; only the times and k_i / k_p need a search. What happens to
-commands before the cascade (a lateness, a lag) is the same for all joints, and sought where a short low-pass does not
-explain the torque. So is what drives may do by themselves: the speed v_c over which they turn round what they
+Written out, τ is linear in k_p k_v, k_p k_ff, k_p k_a and k_p; only the times and k_i / k_p need a search. What happens
+to commands before the cascade (a lateness, a lag) is the same for all joints, and sought where a short low-pass does
+not explain the torque. So is what drives may do by themselves: the speed v_c over which they turn round what they
 compensate of friction, τ_c, and the share g in which the gains of the velocity loop follow the inertia that a joint
-moves, ``k_p (1 + g (J(q) / J_0 - 1))``.
+moves, ``k_p (1 + g (J(q) / J_0 - 1))``, and other kinds of controllers: PID, impedance, inverse dynamics, whose torques
+are looked at where they were made, before the data sheet's mass matrix.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares, minimize_scalar, nnls
 from scipy.signal import butter, filtfilt, lfilter
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array
 from ideal_robot.command.fit import LATE
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop import inertia_at
+from ideal_robot.loop.loop import mass_at
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -45,6 +48,10 @@ _SEEN = 0.9
 lateness there is one that differs from it by noise alone."""
 _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
+_ROWS = 8
+"""Rows that are kept of a period of that frequency."""
+_SEARCHED = 3
+"""Columns that are kept for the next step of a search: those of its point, and of a step aside."""
 _INTEGRAL = 0.05
 """Usual integral time of a velocity loop [s]; the search begins with none and from an eighth to 16 times as quick."""
 _ERRORLESS = 1e-6
@@ -98,18 +105,20 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     best = None
     for fit, each in (plain, *([] if before is None else [_fitted(joints, before)])):
         more = _helped(each, fit)
-        for other in (fit, *([] if more is None else [_fitted(joints, more)[0]])):
+        for other in (fit, *([] if more is None else [_needed(joints, _fitted(joints, more)[0])])):
             # What asks for more has to leave clearly less.
             best = other if best is None or other.squares < _SEEN * best.squares else best
     assert best is not None
-    k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, turns = best.values.T
+    k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, acceleration, turns = best.values.T
     channel = best.channel
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
         k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=channel.order, delay=channel.late,
         integrated=channel.integrated, compensation=compensation if channel.turns else None,
         v_compensation=turns if channel.turns else None, bodies=bodies if channel.bodies else None,
-        schedule=channel.schedule, scheduled_at=moved if channel.schedule else None)
+        schedule=channel.schedule, coupled=channel.coupled,
+        scheduled_at=moved if channel.schedule or channel.coupled else None, rate_filter=channel.rate,
+        acceleration=acceleration if channel.accelerated else None)
     return ControllerFit(controller, best.error)
 
 
@@ -119,7 +128,9 @@ class _Channel(NamedTuple):
     And what drives do by themselves: the speed ``turns`` over which they turn round what they compensate of friction,
     any of ``_TURNS`` [rad/s], and the share ``schedule`` in which gains follow the inertia; 0 where they do not.
     ``integrated`` is the share of u without the position that the integrator gets: 0 of PID control;
-    ``bodies`` whether torques of the data sheet's bodies are added.
+    ``bodies`` whether torques of the data sheet's bodies are added, ``coupled`` whether its mass matrix makes torques
+    of what loops ask for. ``rate`` is the time constant of the lag of the command's rates [s], ``ahead`` and
+    ``accelerated`` whether the first and the second are fed forward.
     """
 
     order: int = _ORDER
@@ -129,6 +140,10 @@ class _Channel(NamedTuple):
     schedule: float = 0.0
     integrated: float = 1.0
     bodies: bool = False
+    coupled: bool = False
+    rate: float = 0.0
+    ahead: bool = True
+    accelerated: bool = False
 
 
 _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
@@ -137,7 +152,7 @@ _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
 
 
 class _Fitted(NamedTuple):
-    """Cascades of all joints: ``values (n, 9)`` as of ``_fit_joint`` and v_c, errors ``(n,)`` [%], and channel."""
+    """Cascades of all joints: ``values (n, 10)`` as of ``_fit_joint`` and v_c, errors ``(n,)`` [%], and channel."""
 
     values: Array
     error: Array
@@ -153,25 +168,30 @@ class _Sheet(NamedTuple):
     """What the data sheet says of the joints at the rows ``(N, n)`` of a stretch.
 
     Attributes:
-        more: inertia that each joint moves, its rotor's included, over the mean of all stretches, less 1.
+        more: inertia that each joint moves, its rotor's included, over the mean J_0 of all stretches, less 1.
         torque: of gravity and velocities [N m].
+        measured, added: torques, and those of gravity and velocities, before the mass matrix: J_0 M⁻¹ τ [N m].
     """
 
     more: Array
     torque: Array
+    measured: Array
+    added: Array
 
 
 def _sheets(parts: Sequence[Recording], robot: Robot, rotors: Array) -> tuple[list[_Sheet], Array]:
     """What the data sheet says of each stretch, and the mean inertia that each joint moves ``(n,)`` [kg m²]."""
-    chain, inertia, torque = chain_of(robot.pinocchio), list[Array](), list[Array]()
+    chain, masses, torque = chain_of(robot.pinocchio), list[Array](), list[Array]()
     for part in parts:
         q = np.ascontiguousarray(part.joints("q"))
         torque.append(inverse_dynamics(chain, q, np.gradient(q, _step(part), axis=0), np.zeros_like(q)))
-        every = np.arange(0, len(q), _EDGE)
-        inertia.append(interpolated(np.arange(float(len(q))), every.astype(float),
-                                    np.array([inertia_at(chain, rotors, q[k]) for k in every])))
+        masses.append(np.array([mass_at(chain, rotors, row) for row in q]))
+    inertia = [np.diagonal(M, axis1=1, axis2=2) for M in masses]
     mean = np.concatenate(inertia).mean(axis=0)
-    return [_Sheet(moved / mean - 1.0, added) for moved, added in zip(inertia, torque, strict=True)], mean
+    before = [mean * np.linalg.solve(M, np.stack([part.joints("tau"), added], axis=2)).transpose(2, 0, 1)
+              for part, M, added in zip(parts, masses, torque, strict=True)]
+    return [_Sheet(moved / mean - 1.0, added, *both)
+            for moved, added, both in zip(inertia, torque, before, strict=True)], mean
 
 
 def _step(part: Recording) -> float:
@@ -189,7 +209,7 @@ def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, sheets: Se
     """
     return [_Stretches([_JointCascade(part.columns[f"q_c_{i + 1}"], part.columns[f"q_{i + 1}"],
                                       part.columns[f"tau_{i + 1}"], _step(part), robot.t_velocity, averaged,
-                                      _Sheet(sheets[k].more[:, i], sheets[k].torque[:, i]) if sheets else None)
+                                      _Sheet(*(rows[:, i] for rows in sheets[k])) if sheets else None)
                         for k, part in enumerate(parts)]) for i in range(parts[0].n)]
 
 
@@ -202,48 +222,95 @@ def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
     """
     worst = int(np.argmax(plain.error))
     channel = min(_CHANNELS, key=joints[worst].least)
-    if _fit_joint(joints[worst], channel, free=True)[1] ** 2 > _SEEN * plain.error[worst] ** 2:
+    if _fit_joint(joints[worst], channel, free="late")[1] ** 2 > _SEEN * plain.error[worst] ** 2:
         return None
-    # Each joint says how late commands are; they are as late for all.
-    late = [_fit_joint(joint, channel, free=True)[2] for joint in joints]
-    return channel._replace(late=float(np.median(late)))
+    return _agreed(joints, channel, "late")
+
+
+def _agreed(joints: Sequence[_Stretches], channel: _Channel, free: str) -> _Channel:
+    """The channel with a time, by its name, that is the same for all joints: the middle of what each says."""
+    changed: dict[str, Any] = {free: float(np.median([_fit_joint(joint, channel, free)[2] for joint in joints]))}
+    return channel._replace(**changed)
 
 
 _TURNS = (0.003, 0.01, 0.03, 0.1)
 """Speeds over which compensated friction may turn round [rad/s]; beyond the last it is like a share of the velocity."""
 _SCHEDULES = (0.25, 0.5, 0.75, 1.0)
 """Shares in which gains may follow the inertia: the search begins with them."""
+_RATES = (0.003, 0.01, 0.03)
+"""Lags of the command's rates [s]: the search begins with them."""
 
 
 def _helped(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
-    """The channel with what drives do by themselves, or another kind of controller; None where that explains no more.
+    """The channel of the kind of controller that explains most, with what drives do; None where none explains more.
 
-    All joints tell, each by the logarithm of what is left of its torque; one kind after the other is taken where it
-    leaves less by ``_SEEN``.
+    All joints tell, each by the logarithm of what is left of its torque. From each kind on, one thing after the other
+    is taken where it leaves less by ``_SEEN``; another kind than a cascade has to leave less by as much.
 
     Args:
         joints: of the arm.
         plain: their cascades without.
     """
-    def left(channel: _Channel) -> float:
-        return float(np.mean([np.log(min(joint.least(one) for one in _turning(channel))) for joint in joints]))
+    known = dict[_Channel, float]()
 
-    least, channel, follow = left(plain.channel), plain.channel, _SCHEDULES if joints[0].follows else ()
-    while more := [*([channel._replace(bodies=True)] if follow and not channel.bodies else []),
-                   *([channel._replace(integrated=0.0)] if channel.integrated else []),
-                   *(channel._replace(turns=turns) for turns in _TURNS[:1] if not channel.turns),
-                   *(channel._replace(schedule=share) for share in follow if not channel.schedule)]:
-        found = [left(one) for one in more]
-        if min(found) >= least + np.log(_SEEN):
+    def left(channel: _Channel) -> float:
+        if channel not in known:
+            known[channel] = float(np.mean([np.log(min(joint.least(one, times) for one in _turning(channel)))
+                                            for joint, times in zip(joints, plain.values[:, 4:6], strict=True)]))
+        return known[channel]
+
+    cascade, follows = plain.channel, joints[0].follows
+    kinds = [cascade, cascade._replace(integrated=0.0),
+             *([cascade._replace(bodies=True), cascade._replace(bodies=True, coupled=True, accelerated=True)]
+               if follows else [])]
+    found = [_refined(left, kind, follows) for kind in kinds]
+    channel = min(found, key=lambda one: left(one) - np.log(_SEEN) * (found.index(one) > 0))
+    if channel == cascade:
+        return None
+    # How rates lag shows with the right low-pass of the commands only.
+    lags = channel.rate or found.index(channel) > 0
+    return _agreed(joints, channel._replace(rate=channel.rate or _RATES[1]), "rate") if lags else channel
+
+
+def _refined(left: Callable[[_Channel], float], channel: _Channel, follows: bool) -> _Channel:
+    """A kind of controller with what drives do beside, one thing after the other while it leaves less by ``_SEEN``.
+
+    Args:
+        left: logarithm of what a channel leaves.
+        channel: of the kind.
+        follows: whether the data sheet's inertias are looked at.
+    """
+    while True:
+        more = [*(channel._replace(turns=turns) for turns in _TURNS[:1] if not channel.turns),
+                *(channel._replace(rate=time) for time in _RATES if not channel.rate),
+                *([] if channel.accelerated else [channel._replace(accelerated=True)]),
+                *(channel._replace(schedule=share) for share in _SCHEDULES
+                  if follows and not channel.schedule and not channel.coupled)]
+        best = min(more, key=left, default=channel)
+        if left(best) >= left(channel) + np.log(_SEEN):
             break
-        least, channel = min(found), more[int(np.argmin(found))]
+        channel = best
     if channel.schedule:
         near = _SCHEDULES[0]
         share = minimize_scalar(lambda g: left(channel._replace(schedule=float(g))), method="bounded",
                                 bounds=(max(channel.schedule - near, 0.0), channel.schedule + near),
                                 options={"xatol": 0.02}).x
         channel = channel._replace(schedule=float(share))
-    return None if channel == plain.channel else channel
+    return channel
+
+
+def _needed(joints: Sequence[Sequence[_Stretches]], found: _Fitted) -> _Fitted:
+    """The fit without those things that drives do without which it leaves no more than by ``_SEEN``.
+
+    Args:
+        joints: of the arm, for each way of logging.
+        found: with all of them.
+    """
+    for less in ({"turns": 0.0}, {"rate": 0.0}, {"accelerated": False}, {"ahead": False}, {"schedule": 0.0}):
+        if (simpler := found.channel._replace(**less)) != found.channel:
+            fit = _fitted(joints, simpler)[0]
+            found = fit if _SEEN * fit.squares < found.squares else found
+    return found
 
 
 def _turning(channel: _Channel) -> list[_Channel]:
@@ -270,7 +337,8 @@ class _JointCascade:
 
     Attributes:
         q_c, q: commands and motor angles at the recording's cycle ``(N,)`` [rad].
-        tau: the torque below ``_CUTOFF`` about its mean, without the ends ``(M,)`` [N m].
+        tau, before: the torque below ``_CUTOFF`` about its mean, without the ends ``(M,)`` [N m], and that before the
+            mass matrix; the same where no data sheet is looked at.
         angle: motor angles every ``t_velocity`` [rad].
         cycle, t_velocity: cycles of the recording and of the velocity loop [s].
         every: steps of the velocity loop in a cycle of the recording.
@@ -287,38 +355,73 @@ class _JointCascade:
             t_velocity = cycle / self.every
         self.q_c, self.q, self.cycle, self.t_velocity = q_c, q, cycle, t_velocity
         self._low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
+        # More rows say nothing more.
+        self._every = max(int(1.0 / (_ROWS * _CUTOFF * cycle)), 1)
         # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
         fine = t_velocity * np.arange(self.every * (len(q) - 1) + 1)
         self.angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
-        self.tau = self._smoothed(tau)
-        self.tau = self.tau - self.tau.mean()
+        # A search changes one time after the other.
+        self._commanded, self._moved, self._added = (
+            lru_cache(_SEARCHED)(columns) for columns in (self._of_commands, self._of_velocity, self._of_bodies))
+        self.tau, self.before = (rows - rows.mean() for rows in (
+            self._smoothed(tau), self._smoothed(tau if sheet is None else sheet.measured)))
 
     def _smoothed(self, x: Array) -> Array:
-        return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE])
+        return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE:self._every])
 
     def columns(self, times: Array, channel: _Channel = _Channel()) -> Array:
-        """What the products of gains multiply ``(M, 6)``; behind them what is compensated of friction and of bodies.
+        """What the products of gains multiply ``(M, 6)``; behind them accelerations and what drives compensate.
 
         Args:
             times: time constants of command and velocity ``(2,)`` [s].
             channel: what commands pass, and what drives do by themselves.
         """
-        order, late, turns, schedule = channel.order, channel.late, channel.turns, channel.schedule
         low, velocity = np.abs(times)
-        at = self.cycle * np.arange(float(len(self.q_c)))
-        r = _low_passed(np.interp(at - late, at, self.q_c) if late else self.q_c, self.cycle, low, order)
-        rate = np.concatenate([[0.0], np.diff(r)]) / self.cycle
-        # What the position loop says is held over its cycle; both act from the instant of the sample on.
-        held = np.repeat(np.column_stack([r - self.q, rate]), self.every, axis=0)[: len(self.angle)]
-        acting = np.column_stack([held, -_differentiated(self.angle, self.t_velocity, velocity)])
-        if schedule and self.sheet is not None:
-            acting = acting * np.repeat(1.0 + schedule * self.sheet.more, self.every)[: len(self.angle), None]
-        summed = acting * [1.0, channel.integrated, channel.integrated]
-        acting = np.hstack([acting, np.cumsum(summed, axis=0) * self.t_velocity])
-        if turns:
-            acting = np.column_stack([acting, np.tanh(held[:, 1] / turns)])
+        schedule = channel.schedule if self.sheet is not None else 0.0
+        # What position and integrator make of it is not asked here.
+        commanded = self._commanded(low, channel._replace(low=0.0, schedule=schedule, integrated=0.0, bodies=False))
+        moved = self._moved(velocity, schedule)
+        columns = [commanded[:, :2], moved[:, :1], commanded[:, 2:4], moved[:, 1:], commanded[:, 4:]]
         if channel.bodies and self.sheet is not None:
-            acting = np.column_stack([acting, np.repeat(self.sheet.torque, self.every)[: len(self.angle)]])
+            columns.append(self._added(channel.coupled))
+        return np.hstack(columns)
+
+    def _of_commands(self, low: float, channel: _Channel) -> Array:
+        """Columns of position error, rate, their integrals, acceleration and what turns with the rate ``(M, 4...)``."""
+        at = self.cycle * np.arange(float(len(self.q_c)))
+        command = np.interp(at - channel.late, at, self.q_c) if channel.late else self.q_c
+        r = _low_passed(command, self.cycle, low, channel.order)
+        rate = _differentiated(r, self.cycle, channel.rate)
+        more = [*([_differentiated(rate, self.cycle, channel.rate)] if channel.accelerated else []),
+                *([np.tanh(rate / channel.turns)] if channel.turns else [])]
+        both = self._held(np.column_stack([r - self.q, rate]), channel.schedule)
+        # What drives add does not follow the inertia; accelerations do as the loops' gains.
+        further = [self._held(value[:, None], channel.schedule * (channel.accelerated and k == 0))
+                   for k, value in enumerate(more)]
+        return self._logged(np.hstack([both, np.cumsum(both, axis=0) * self.t_velocity, *further]))
+
+    def _of_velocity(self, time: float, schedule: float) -> Array:
+        """Columns of the measured velocity behind its lag, and of the integral ``(M, 2)``."""
+        speed = self._following(-_differentiated(self.angle, self.t_velocity, time)[:, None], schedule)
+        return self._logged(np.hstack([speed, np.cumsum(speed, axis=0) * self.t_velocity]))
+
+    def _of_bodies(self, coupled: bool) -> Array:
+        """Column of the torque that the data sheet's bodies take ``(M, 1)``."""
+        assert self.sheet is not None
+        return self._logged(self._held((self.sheet.added if coupled else self.sheet.torque)[:, None], 0.0))
+
+    def _held(self, values: Array, schedule: float) -> Array:
+        """Values of the position loop ``(N, k)``, held over its cycle: they act from the instant of the sample on."""
+        return self._following(np.repeat(values, self.every, axis=0)[: len(self.angle)], schedule)
+
+    def _following(self, values: Array, schedule: float) -> Array:
+        """Rows every ``t_velocity``, times the gains where they follow the inertia by a share."""
+        if not schedule or self.sheet is None:
+            return values
+        return values * np.repeat(1.0 + schedule * self.sheet.more, self.every)[: len(self.angle), None]
+
+    def _logged(self, acting: Array) -> Array:
+        """What a drive logs of torques every ``t_velocity``, without what is quicker than the fit looks at."""
         if self.averaged:
             logged = acting[1:].reshape(-1, self.every, acting.shape[1]).mean(axis=1)
             return self._smoothed(np.concatenate([acting[:1], logged]))
@@ -328,42 +431,75 @@ class _JointCascade:
 class _Stretches:
     """All stretches of one joint together; the integrator's state at the start of each is a constant of its own.
 
-    Their torques ``tau (M,)`` [N m] are one after the other, ``scale`` is the standard deviation.
+    Their torques ``tau (M,)`` [N m] are one after the other, ``before`` those before the mass matrix.
     """
 
     def __init__(self, parts: Sequence[_JointCascade]) -> None:
         self._parts = parts
         self.tau = np.concatenate([part.tau for part in parts])
-        self.scale = float(np.std(self.tau))
+        self.before = np.concatenate([part.before for part in parts])
         self.cycle, self.t_velocity = parts[0].cycle, parts[0].t_velocity
         self.follows = parts[0].sheet is not None
         self._kept: tuple[float, ...] = ()
-        self._columns = np.empty((0, 6))
+        self._columns, self._R = np.empty((0, 6)), np.empty((0, 8))
 
-    def fitted(self, lags: Array, channel: _Channel) -> tuple[Array, Array]:
-        """Best ``k_p k_v, k_p k_ff, k_p, τ_c, b`` ``(5,)``, and what they leave of the torque about its mean ``(M,)``.
+    def fitted(self, lags: Array, channel: _Channel, lagging: bool = False) -> tuple[Array, Array]:
+        """Best ``k_p k_v, k_p k_ff, k_p, τ_c, b, k_p k_a`` ``(6,)``, and what they leave of the torque ``(M,)``.
+
+        That is over the norm of the torque about its mean.
 
         Args:
             lags: time constants of command and velocity [s], and the integrator's k_i / k_p [1/s] ``(3,)``.
             channel: what commands pass.
+            lagging: whether the lags are not known yet. One of δ moves the integral of the position's error by δ r,
+                which is then free.
         """
+        products, T, _ = self._solved(lags, channel, lagging)
+        every = np.zeros(6)
+        places = [0, 1, 2, *([5] if channel.accelerated else []), *([3] if channel.turns else []),
+                  *([4] if channel.bodies else [])]
+        every[places] = products[: len(places)]
+        tau = self.before if channel.coupled else self.tau
+        return every, (tau - self._columns @ (T @ products)) / np.linalg.norm(tau)
+
+    def left(self, lags: Array, channel: _Channel, lagging: bool = True) -> float:
+        """Share of the torque's squares that the best products leave [1]; see ``fitted``."""
+        return self._solved(lags, channel, lagging)[2]
+
+    def least(self, channel: _Channel, times: Array | None = None) -> float:
+        """Share of the torque's squares that a channel leaves with the best of the first integrators [1].
+
+        Args:
+            channel: what commands pass.
+            times: time constants of command and velocity that are tried beside the usual ones ``(2,)`` [s].
+        """
+        usual = np.array([channel.low, 2.0 * self.t_velocity])
+        return min(self.left(np.array([*each, ratio / _INTEGRAL]), channel)
+                   for each in ([usual] if times is None else [usual, times]) for ratio in _RATIOS)
+
+    def _solved(self, lags: Array, channel: _Channel, lagging: bool) -> tuple[Array, Array, float]:
+        """Products ``(k,)``, the matrix that makes their columns ``(c, k)``, and the share of the squares left [1]."""
         # About what time a low-pass has is where a search begins.
-        if (key := (*lags[:2], *channel._replace(low=0.0))) != self._kept:
+        if (key := (*lags[:2], *channel._replace(low=0.0, integrated=0.0))) != self._kept:
             H = [part.columns(lags[:2], channel) for part in self._parts]
             self._kept = key
             self._columns = np.concatenate([part - part.mean(axis=0) for part in H])
-        A = np.hstack([self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:6], self._columns[:, 6:]])
+            rows = np.column_stack([self._columns, self.before if channel.coupled else self.tau])
+            self._R = np.asarray(np.linalg.qr(rows, mode="r"))
+        count, w = self._columns.shape[1], channel.integrated
+        free = 2 if lagging and w < 1.0 else 0
+        T = np.zeros((count, count - 3 + free))
+        fed = float(channel.ahead)
+        T[[0, 1, 2], [0, 1, 2]] = 1.0, fed, 1.0
+        T[[3, 4, 5], [0, 1, 2]] = abs(lags[2]) * np.array([1.0, w * fed, w])
+        T[range(6, count), range(3, count - 3)] = 1.0
+        if free:
+            T[4, -2:] = 1.0, -1.0
+        A, tau = self._R[:, :-1] @ T, self._R[:, -1]
         unit = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
         # A loop feeds back what it is to take away: no gain is negative.
-        products = nnls((A / unit).T @ (A / unit), (A / unit).T @ self.tau)[0] / unit
-        every = np.zeros(5)
-        every[[0, 1, 2, *([3] if channel.turns else []), *([4] if channel.bodies else [])]] = products
-        return every, self.tau - A @ products
-
-    def least(self, channel: _Channel) -> float:
-        """Share of the torque's squares that a channel leaves with the best of the first integrators [1]."""
-        lags = [np.array([channel.low, 2.0 * self.t_velocity, ratio / _INTEGRAL]) for ratio in _RATIOS]
-        return min(float(np.sum(self.fitted(each, channel)[1] ** 2)) for each in lags) / float(np.sum(self.tau**2))
+        products, rest = nnls(A / unit, tau)
+        return products / unit, T, float(rest**2 / np.sum(tau**2))
 
 
 _SLOWEST = 0.1
@@ -372,8 +508,8 @@ _RATIOS = (0.0, *2.0 ** np.arange(-3, 5))
 """Integrators that are tried first, over ``_INTEGRAL``'s."""
 
 
-def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tuple[Array, float, float]:
-    """Gains ``k_v, k_ff, k_p, k_i``, times, τ_c and b of one joint ``(8,)``, the error [%], and the lateness [s].
+def _fit_joint(joint: _Stretches, channel: _Channel, free: str = "") -> tuple[Array, float, float]:
+    """Gains ``k_v, k_ff, k_p, k_i``, times, τ_c, b and k_p k_a of a joint ``(9,)``, the error [%], and a time [s].
 
     A lag of half a millisecond adds up to hundreds of newton metres in the integrator: lags and integrator must be
     about right together before a search can succeed.
@@ -381,26 +517,35 @@ def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tupl
     Args:
         joint: its torques.
         channel: what commands pass.
-        free: whether the lateness is sought, too.
+        free: the channel's time that is sought, too, and given back: ``late`` or ``rate``; none if empty.
     """
     unit = np.array([joint.cycle, joint.t_velocity, 1.0 / _INTEGRAL, joint.cycle])
 
-    def left(lags: Array) -> Array:
+    def asked(lags: Array) -> tuple[Array, _Channel]:
         lags = lags * unit[: len(lags)]
-        return joint.fitted(lags[:3], channel._replace(late=abs(lags[3])) if free else channel)[1] / joint.scale
+        return lags[:3], channel._replace(**{free: abs(lags[3])}) if free else channel
+
+    def left(lags: Array, lagging: bool) -> Array:
+        return joint.fitted(*asked(lags), lagging)[1]
 
     lows = [*np.arange(0.05, 4.06, 0.5), *([channel.low / joint.cycle] if channel.low else [])]
-    starts = [np.array([low, 2.0, ratio, *([channel.late / joint.cycle] if free else [])])
+    starts = [np.array([low, 2.0, ratio, *([getattr(channel, free) / joint.cycle] if free else [])])
               for low in lows for ratio in _RATIOS]
-    start = min(starts, key=lambda lags: float(np.sum(left(lags) ** 2)))
-    found = np.abs(least_squares(left, start, diff_step=1e-2, max_nfev=20).x)
-    lags, late = found[:3] * unit[:3], float(found[3] * unit[3]) if free else channel.late
-    (stiff, ahead, k_p, *added), rest = joint.fitted(lags, channel._replace(late=late))
+    found = []
+    # With PID control the lags are to be about right before the integral of the position's error says anything.
+    for lagging in ((False, True) if channel.integrated < 1.0 else (False,)):
+        start = starts[int(np.argmin([joint.left(*asked(lags), lagging) for lags in starts]))]
+        for way in ((True, False) if lagging else (False,)):
+            start = np.abs(least_squares(left, start, diff_step=1e-2, max_nfev=20, args=(way,)).x)
+        found.append(start)
+    best = min(found, key=lambda lags: joint.left(*asked(lags), False))
+    (lags, channel), time = asked(best), float(best[3] * unit[3]) if free else 0.0
+    (stiff, ahead, k_p, *added), rest = joint.fitted(lags, channel)
     k_p = max(k_p, 1e-9)
-    error = 100.0 * float(np.linalg.norm(rest) / np.linalg.norm(joint.tau))
+    error = 100.0 * float(np.linalg.norm(rest))
     # An integrator that is slower than the recording is none.
     k_i = lags[2] * k_p if lags[2] > _SLOWEST else 0.0
-    return np.array([stiff / k_p, ahead / k_p, k_p, k_i, *lags[:2], *added]), error, late
+    return np.array([stiff / k_p, ahead / k_p, k_p, k_i, *lags[:2], *added]), error, time
 
 
 def _low_passed(x: Array, cycle: float, time: float, order: int) -> Array:

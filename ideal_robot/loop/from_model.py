@@ -11,7 +11,7 @@ from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames, mas
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.table import Friction, braking, distance_with
-from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
+from ideal_robot.loop.loop import Cascade, CommandPath, Compensation, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
@@ -152,12 +152,11 @@ def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
         Drives(rotor_inertia, np.array(model.offset), np.ones(n), none, _elastic(model, rotor_inertia),
                np.zeros(n) if model.gears is None else model.gears.known_damping, none, np.zeros(n), np.zeros(n)),
         Friction.of(model.friction, robot.v_max),
-        Cascade(k_v, k_ff, k_p, k_i, np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX), robot.tau_max,
-                controller.integrated, np.zeros(n) if controller.compensation is None else controller.compensation,
-                np.ones(n) if controller.v_compensation is None else controller.v_compensation, controller.schedule,
-                np.zeros(n) if controller.bodies is None else controller.bodies,
-                np.ones(n) if controller.scheduled_at is None else controller.scheduled_at,
-                chain_of(robot.pinocchio), sheet_rotors(model, robot)),
+        Cascade(k_v, k_ff, _or(controller.acceleration, np.zeros(n)) / k_p, controller.rate_filter, k_p, k_i,
+                np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX), robot.tau_max, controller.integrated),
+        Compensation(_or(controller.compensation, np.zeros(n)), _or(controller.v_compensation, np.ones(n)),
+                     _or(controller.bodies, np.zeros(n)), controller.schedule, controller.coupled,
+                     _or(controller.scheduled_at, np.ones(n)), chain_of(robot.pinocchio), sheet_rotors(model, robot)),
         CommandPath(low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
                                   dead_time=rest),
                     whole, robot.t_ipo, robot.t_position, robot.t_velocity, robot.q_min, robot.q_max, robot.v_max))
@@ -166,6 +165,10 @@ def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
         chain, rotor_inertia = with_rotors(loop.chain, loop.drives.rotor_inertia, robot.q_min, robot.q_max)
         loop = loop.changed(chain=chain, rotor_inertia=rotor_inertia)
     return checked(loop)
+
+
+def _or(value: Array | None, usual: Array) -> Array:
+    return usual if value is None else value
 
 
 def sheet_rotors(model: Model, robot: Robot) -> Array:

@@ -48,44 +48,66 @@ class Drives(NamedTuple):
 class Cascade(NamedTuple):
     """Position and velocity loops of ``n`` joints, [G] (16), (17), at their own cycles.
 
-    Position loop ``u = k_v (r - q) + k_ff ṙ - q̇``, velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
-    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. Of PID control of the position the integrator gets
-    ``k_v (r - q)`` alone, a share w = 0 of the rest; impedance control has no integrator. To τ some add
-
-    - what friction takes from a motion in the direction of the command, ``τ_c tanh(ṙ / v_c)``,
-    - a share b of the data sheet's gravity and Coriolis torques.
-
-    Gains of the velocity loop may follow the inertia J that the joint moves by the data sheet, its rotor's included:
-    ``k_p (1 + g (J(q) / J_0 - 1))``, and ``k_i`` likewise.
+    Position loop ``u = k_v (r - q) + k_ff ṙ + k_a r̈ - q̇``, velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
+    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. Rates of the command may pass a lag each. Of PID control of the
+    position the integrator gets ``k_v (r - q)`` alone, a share w = 0 of the rest; impedance control has no integrator.
 
     Attributes:
-        k_v, k_ff: position loop ``(n,)`` [1/s], [-].
+        k_v, k_ff, k_a: position loop ``(n,)`` [1/s], [-], [s].
+        t_rate: time constant of the lag of the command's rates [s].
         k_p, k_i: velocity loop ``(n,)`` [N m s/rad], [N m/rad].
         t_filter: time constant of the low-pass differentiator ``(n,)`` [s].
         tau_max: torque limit ``(n,)`` [N m]; infinite for none.
         integrated: w, of what is not position; 1 of a cascade, 0 of PID control.
-        compensation: τ_c, friction that the drive itself compensates ``(n,)`` [N m].
-        v_compensation: v_c, speed of the command over which that turns round ``(n,)`` [rad/s].
-        schedule: g, share in which gains follow the inertia; 0 for gains that are the same everywhere.
-        bodies: b ``(n,)``; 0 where no bodies are compensated.
-        scheduled_at: J_0, at which gains are as they are here ``(n,)`` [kg m²].
-        sheet, sheet_rotors: bodies and rotor inertias ``(n,)`` [kg m²] of the data sheet.
     """
 
     k_v: Array
     k_ff: Array
+    k_a: Array
+    t_rate: float
     k_p: Array
     k_i: Array
     t_filter: Array
     tau_max: Array
     integrated: float
-    compensation: Array
-    v_compensation: Array
-    schedule: float
+
+
+class Compensation(NamedTuple):
+    """What joint controllers do with what they know of the arm; arrays are ``(n,)``.
+
+    To the torque of the velocity loops some add
+
+    - what friction takes from a motion in the direction of the command, ``τ_c tanh(ṙ / v_c)``,
+    - a share b of the data sheet's gravity and Coriolis torques.
+
+    Their gains may follow the inertia J that the joint moves by the data sheet, its rotor's included:
+    ``k_p (1 + g (J(q) / J_0 - 1))``, and ``k_i`` likewise. Where loops ask for accelerations, and the data sheet's mass
+    matrix M makes torques of them (inverse dynamics), all that they say is multiplied by ``M(q) diag(1 / J_0)``.
+
+    Attributes:
+        friction_torque: τ_c [N m]; 0 where the drive compensates none.
+        turning_speed: v_c, of the command, over which that turns round [rad/s].
+        bodies: b; 0 where no bodies are compensated.
+        schedule: g; 0 for gains that are the same everywhere.
+        coupled: whether the mass matrix makes torques of what the loops say.
+        scheduled_at: J_0, at which gains are those of the record [kg m²].
+        sheet, rotors: bodies and rotor inertias [kg m²] of the data sheet.
+    """
+
+    friction_torque: Array
+    turning_speed: Array
     bodies: Array
+    schedule: float
+    coupled: bool
     scheduled_at: Array
     sheet: Chain
-    sheet_rotors: Array
+    rotors: Array
+
+    @classmethod
+    def none(cls, sheet: Chain, rotors: Array) -> Compensation:
+        """Of controllers that know nothing of the arm, whose data sheet is ``sheet`` with ``rotors (n,)`` [kg m²]."""
+        zero, one = np.zeros_like(rotors), np.ones_like(rotors)
+        return cls(zero, one, zero, 0.0, False, one, sheet, rotors)
 
 
 class CommandPath(NamedTuple):
@@ -116,6 +138,7 @@ class Loop(NamedTuple):
         drives: motors and gears.
         friction: of every joint.
         cascade: position and velocity loops.
+        compensation: what they do with what they know of the arm.
         path: from a command to the position loop.
         terms: effects whose torque the motor has to give as well; compiled code takes the records before them.
     """
@@ -124,6 +147,7 @@ class Loop(NamedTuple):
     drives: Drives
     friction: Friction
     cascade: Cascade
+    compensation: Compensation
     path: CommandPath
     terms: tuple[FittedEffect, ...] = ()
 
@@ -155,7 +179,7 @@ class Loop(NamedTuple):
         """
         for name in [name for name in fields if name in Loop._fields]:
             self = self._replace(**{name: fields.pop(name)})
-        for record in ("chain", "drives", "friction", "cascade", "path"):
+        for record in ("chain", "drives", "friction", "cascade", "compensation", "path"):
             values: Any = getattr(self, record)
             own = {name: fields.pop(name) for name in list(fields) if name in values._fields}
             if own:
@@ -181,8 +205,9 @@ def checked(loop: Loop) -> Loop:
         raise InputError("cycle times must be whole multiples of each other", field="t_ipo",
                          value=(path.t_ipo, path.t_position, path.t_velocity))
     return Loop(_in_one_piece(loop.chain), _in_one_piece(loop.drives), _in_one_piece(loop.friction),
-                _in_one_piece(loop.cascade._replace(sheet=_in_one_piece(loop.cascade.sheet))), _in_one_piece(path),
-                loop.terms)
+                _in_one_piece(loop.cascade),
+                _in_one_piece(loop.compensation._replace(sheet=_in_one_piece(loop.compensation.sheet))),
+                _in_one_piece(path), loop.terms)
 
 
 def _in_one_piece(record: Any) -> Any:
@@ -207,8 +232,8 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
 
 
 @jit()
-def inertia_at(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
-    """Inertia that each joint moves at a posture, its rotor's included ``(n,)`` [kg m²].
+def mass_at(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
+    """Mass matrix at a posture, with the rotors on its diagonal ``(n, n)`` [kg m²].
 
     Args:
         chain, rotor_inertia: of the arm, ``(n,)`` [kg m²].
@@ -218,46 +243,53 @@ def inertia_at(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
     R, p, M = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n))
     joint_frames(chain, q, R, p)
     mass_matrix(chain, R, p, M)
-    return np.diag(M) + rotor_inertia
+    return M + np.diag(rotor_inertia)
 
 
 @jit()
-def scheduled(cascade: Cascade, q: Array) -> Array:
-    """Gains of the velocity loops at a posture ``q (n,)`` [rad] over those of the record ``(n,)``."""
-    if cascade.schedule == 0.0:
-        return np.ones(len(q))
-    inertia = inertia_at(cascade.sheet, cascade.sheet_rotors, q)
-    return 1.0 + cascade.schedule * (inertia / cascade.scheduled_at - 1.0)
+def gains_at(compensation: Compensation, q: Array) -> Array:
+    """What the velocity loops' torques at the record's gains are multiplied by at a posture ``(n, n)``.
+
+    Args:
+        compensation: of all joints.
+        q: motor angles ``(n,)`` [rad].
+    """
+    if compensation.schedule == 0.0 and not compensation.coupled:
+        return np.eye(len(q))
+    M = mass_at(compensation.sheet, compensation.rotors, q)
+    if compensation.coupled:
+        return M / compensation.scheduled_at
+    return np.diag(1.0 + compensation.schedule * (np.diag(M) / compensation.scheduled_at - 1.0))
 
 
 @jit()
-def sheet_torque(cascade: Cascade, q: Array, v: Array) -> Array:
+def sheet_torque(compensation: Compensation, q: Array, v: Array) -> Array:
     """Torque of gravity and velocities that controllers add for the bodies of the data sheet ``(n,)`` [N m].
 
     Args:
-        cascade: of all joints.
+        compensation: of all joints.
         q, v: motor angles and velocities ``(n,)`` [rad, rad/s].
     """
     n = len(q)
     torque = np.zeros(n)
-    if np.any(cascade.bodies != 0.0):
+    if np.any(compensation.bodies != 0.0):
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
-        joint_frames(cascade.sheet, q, R, p)
-        torque_at(cascade.sheet, R, p, v, np.zeros(n), 1.0, torque)
-    return cascade.bodies * torque
+        joint_frames(compensation.sheet, q, R, p)
+        torque_at(compensation.sheet, R, p, v, np.zeros(n), 1.0, torque)
+    return compensation.bodies * torque
 
 
 @jit()
-def compensated(cascade: Cascade, i: int, rate: float) -> float:
-    """Torque that a joint's drive adds to its loops' [N m].
+def compensated(compensation: Compensation, i: int, rate: float) -> float:
+    """Torque that a joint's drive adds to its loops' for friction [N m].
 
     Args:
-        cascade: of all joints.
+        compensation: of all joints.
         i, rate: joint, from 0, and how fast its command moves [rad/s].
     """
-    if cascade.compensation[i] == 0.0:
+    if compensation.friction_torque[i] == 0.0:
         return 0.0
-    return float(cascade.compensation[i] * np.tanh(rate / cascade.v_compensation[i]))
+    return float(compensation.friction_torque[i] * np.tanh(rate / compensation.turning_speed[i]))
 
 
 @jit()

@@ -19,12 +19,13 @@ from ideal_robot.friction.table import Friction, Presliding, friction_along, fri
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop import (
     Cascade,
+    Compensation,
     Drives,
     Loop,
     compensated,
     further_torque,
+    gains_at,
     ripple_torque,
-    scheduled,
     sheet_torque,
     unevenness,
 )
@@ -136,7 +137,7 @@ class _Motion(NamedTuple):
     """State of the loop between position cycles, ``(n,)`` each; changed in place.
 
     Arm and motor angles and velocities, integrator, filtered velocity and angle before of the velocity loop, reference
-    before, presliding state, motor torque, and torque of the gears.
+    before, its lagged rate and that one's, presliding state, motor torque, and torque of the gears.
     """
 
     q_a: Array
@@ -147,6 +148,8 @@ class _Motion(NamedTuple):
     filtered: Array
     previous: Array
     reference: Array
+    rate: Array
+    bend: Array
     force: Array
     tau: Array
     load: Array
@@ -178,11 +181,13 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
     q_a = np.array([q + unevenness(drives.uneven, i, q)[0] for i, q in enumerate(q0)])
     q_a = q_a - tau0 / drives.stiffness - side * drives.half_gap
     holding = drives.gain * (tau0 + drives.offset) + further
-    summed = holding - sheet_torque(loop.cascade, q0, still)
+    summed = holding - sheet_torque(loop.compensation, q0, still)
     # Without an integrator the joint sags until its stiffness holds it.
-    sag = np.where(loop.cascade.k_i > 0.0, 0.0, summed / (loop.cascade.k_p * loop.cascade.k_v))
+    sag = np.linalg.solve(gains_at(loop.compensation, q0), np.where(loop.cascade.k_i > 0.0, 0.0, summed))
+    sag = sag / (loop.cascade.k_p * loop.cascade.k_v)
     state = _Motion(q_a - sag, still.copy(), q0 - sag, still.copy(), np.where(loop.cascade.k_i > 0.0, summed, 0.0),
-                    still.copy(), q0 - sag, q0.copy(), still.copy(), holding.copy(), tau0.copy())
+                    still.copy(), q0 - sag, q0.copy(), still.copy(), still.copy(), still.copy(), holding.copy(),
+                    tau0.copy())
     out = np.empty((3, cycles + 1, n))
     out[:, 0] = state.q_a, state.q_m, state.tau
     # Without further torques all is one compiled call; they are computed anew in every position cycle.
@@ -197,8 +202,8 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
             direction = presliding.direction[0]
             further = _further(loop, start * loop.path.t_position, state, acceleration, direction)
         v, q = state.v_m.copy(), state.q_m.copy()
-        _play(loop.chain, drives, loop.friction, loop.cascade, _Inputs(reference, external, further), state, out,
-              clock, (start, min(start + stride, cycles * steps)))
+        _play(loop.chain, drives, loop.friction, (loop.cascade, loop.compensation),
+              _Inputs(reference, external, further), state, out, clock, (start, min(start + stride, cycles * steps)))
     return out[0], out[1], out[2]
 
 
@@ -209,28 +214,32 @@ def _further(loop: Loop, t: float, state: _Motion, acceleration: Array, directio
 
 
 @jit()
-def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, inputs: _Inputs, state: _Motion,
-          out: Array, clock: _Clock, span: tuple[int, int]) -> None:
+def _play(chain: Chain, drives: Drives, friction: Friction, controller: tuple[Cascade, Compensation],
+          inputs: _Inputs, state: _Motion, out: Array, clock: _Clock, span: tuple[int, int]) -> None:
     """Plays the position cycles of ``span``; ``out (3, cycles + 1, n)`` gets arm and motor angles and motor torques."""
     n = len(state.q_m)
-    helped, position = np.zeros(n), np.zeros(n)
+    helped, position, direct, summed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    cascade, compensation = controller
     reference, external, further = inputs
     t_position, dt, steps_ipo = clock
     substeps = round(t_position / dt)
+    # Share of a change that passes a lag in a cycle.
+    share = 1.0 - np.exp(-t_position / cascade.t_rate) if cascade.t_rate > 0.0 else 1.0
     q_a, v_a, q_m, v_m, load = state.q_a, state.v_a, state.q_m, state.v_m, state.load
     v_ref, bias, rise, acceleration = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
     R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
     for step in range(span[0], span[1]):
         cycle = step // steps_ipo
         r = reference[step]
-        added = sheet_torque(cascade, q_m, v_m)
+        added = sheet_torque(compensation, q_m, v_m)
         for i in range(n):
-            rate = (r[i] - state.reference[i]) / t_position
+            rate = state.rate[i] + share * ((r[i] - state.reference[i]) / t_position - state.rate[i])
+            state.bend[i] += share * ((rate - state.rate[i]) / t_position - state.bend[i])
             position[i] = cascade.k_v[i] * (r[i] - q_m[i])
-            v_ref[i] = position[i] + cascade.k_ff[i] * rate
-            helped[i] = compensated(cascade, i, rate) + added[i]
-            state.reference[i] = r[i]
-        follows = scheduled(cascade, q_m)
+            v_ref[i] = position[i] + cascade.k_ff[i] * rate + cascade.k_a[i] * state.bend[i]
+            helped[i] = compensated(compensation, i, rate) + added[i]
+            state.reference[i], state.rate[i] = r[i], rate
+        gains = gains_at(compensation, q_m)
         joint_frames(chain, q_a, R, p)
         mass_matrix(chain, R, p, M)
         for i in range(n):
@@ -243,7 +252,12 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
                 joint_frames(chain, q_a, R, p)
             torque_at(chain, R, p, v_a, zero, 1.0, bias)
             for i in range(n):
-                tau = _velocity_loop(cascade, state, v_ref[i], (follows[i], helped[i], position[i]), dt, i)
+                direct[i], summed[i] = _velocity_loop(cascade, state, v_ref[i], position[i], dt, i)
+            if compensation.coupled:
+                direct[:], summed[:] = gains @ direct, gains @ summed
+            for i in range(n):
+                own = 1.0 if compensation.coupled else gains[i, i]
+                tau = _limited(cascade, state, own * direct[i] + helped[i], own * summed[i], i)
                 mesh, slope = _gear(drives, state, i)
                 net = ((tau - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
                        - ripple_torque(drives.ripple, i, q_m[i]))
@@ -263,23 +277,26 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
 
 
 @jit(inline="always")
-def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, here: tuple[float, float, float], dt: float,
-                   i: int) -> float:
-    """Motor torque [N m] of a joint's velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
+def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, position: float, dt: float,
+                   i: int) -> tuple[float, float]:
+    """Torque of a joint's velocity loop, [G] (17) at its own cycle, and what its integrator gains in it [N m].
 
-    What holds ``here`` is how large gains are over those of the record, what the drive adds [N m], and what of
-    ``v_ref`` is of the position [rad/s].
+    At the record's gains, with the low-pass differentiator; ``position`` is what of ``v_ref`` is of it [rad/s].
     """
-    follows, helped, position = here
     speed = (state.q_m[i] - state.previous[i]) / dt
     state.previous[i] = state.q_m[i]
     state.filtered[i] += dt / (dt + cascade.t_filter[i]) * (speed - state.filtered[i])
     u = v_ref - state.filtered[i]
-    summed = cascade.integrated * u + (1.0 - cascade.integrated) * position
-    wanted = follows * (cascade.k_p[i] * u + cascade.k_i[i] * summed * dt) + state.integral[i] + helped
+    return cascade.k_p[i] * u, cascade.k_i[i] * (cascade.integrated * u + (1.0 - cascade.integrated) * position) * dt
+
+
+@jit(inline="always")
+def _limited(cascade: Cascade, state: _Motion, direct: float, summed: float, i: int) -> float:
+    """Motor torque [N m] within the limits; there the integrator stands, else it goes on by ``summed`` [N m]."""
+    wanted = direct + summed + state.integral[i]
     state.tau[i] = min(max(wanted, -cascade.tau_max[i]), cascade.tau_max[i])
     if wanted == state.tau[i]:
-        state.integral[i] += follows * cascade.k_i[i] * summed * dt
+        state.integral[i] += summed
     return state.tau[i]
 
 

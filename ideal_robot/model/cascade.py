@@ -155,6 +155,12 @@ def helped(controller: ControllerModel) -> str:
     if controller.compensation is not None:
         sizes = ", ".join(f"{size:.3g}" for size in controller.compensation)
         parts.append(f"drives compensate friction by {sizes} N m")
+    if controller.coupled:
+        parts.append("joints are decoupled by the data sheet's mass matrix (inverse dynamics)")
+    if controller.acceleration is not None:
+        parts.append("the command's acceleration is fed forward")
+    if controller.rate_filter:
+        parts.append(f"rates of the command lag by {1e3 * controller.rate_filter:.2g} ms")
     if controller.schedule:
         parts.append(f"gains follow the inertia in a share of {controller.schedule:.2g}")
     return " and ".join(parts)

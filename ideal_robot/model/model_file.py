@@ -199,7 +199,7 @@ def require_controller(controller: ControllerModel, n: int, file: Path | str | N
         file: where it comes from.
     """
     known = ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time")
-    further = [key for key in ("compensation", "v_compensation", "scheduled_at", "bodies")
+    further = [key for key in ("compensation", "v_compensation", "scheduled_at", "bodies", "acceleration")
                if getattr(controller, key) is not None]
     for key in (*known, *further):
         array = getattr(controller, key)
@@ -213,11 +213,16 @@ def require_controller(controller: ControllerModel, n: int, file: Path | str | N
         raise InputError(f"expected times of 0 to {_SLOWEST_FILTER} s", file=file, field="controller.filter_time",
                          value=controller.filter_time.tolist())
     for key, low, high in (("t_cycle", 1e-5, 1.0), ("delay", 0.0, 10.0), ("filter_order", 1, 10),
-                           ("schedule", 0.0, 2.0), ("integrated", 0.0, 1.0)):
+                           ("schedule", 0.0, 2.0), ("integrated", 0.0, 1.0), ("rate_filter", 0.0, _SLOWEST_FILTER)):
         value = getattr(controller, key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
             raise InputError(f"expected a number from {low:g} to {high:g}", file=file, field=f"controller.{key}",
                              value=value if isinstance(value, (int, float, str)) else None)
+    if not isinstance(controller.coupled, bool):
+        raise InputError("expected true or false", file=file, field="controller.coupled")
+    if (controller.schedule or controller.coupled) and controller.scheduled_at is None:
+        raise InputError(f"expected {n} numbers beside schedule or coupled", file=file,
+                         field="controller.scheduled_at")
     if (controller.compensation is None) != (controller.v_compensation is None):
         raise InputError(f"expected {n} numbers beside those of compensation", file=file,
                          field="controller.v_compensation")

@@ -159,7 +159,11 @@ class ControllerModel:
             the torque, with ṙ of the command behind its low-pass [N m, rad/s]; None for none.
         schedule: share g in which all gains but ``k_i`` follow the inertia J that a joint moves by the data sheet, its
             rotor's included, as ``1 + g (J / J_0 - 1)``.
+        coupled: whether loops ask for accelerations (inverse dynamics): the data sheet's mass matrix, its columns over
+            J_0, then makes torques of what they say.
         scheduled_at: J_0 [kg m²]; None where gains are the same everywhere.
+        rate_filter: time constant of the lag that rates of the command pass, each [s].
+        acceleration: what the command's second rate is multiplied with in u [N m s²/rad]; None for none.
         bodies: share of the data sheet's gravity and Coriolis torques that is added to the torque; None for none.
         std: standard deviations by field name, where known.
         spread: of a controller that was not identified, how far its cascade's numbers may be from these
@@ -179,7 +183,10 @@ class ControllerModel:
     compensation: Array | None = None
     v_compensation: Array | None = None
     schedule: float = 0.0
+    coupled: bool = False
     scheduled_at: Array | None = None
+    rate_filter: float = 0.0
+    acceleration: Array | None = None
     bodies: Array | None = None
     std: dict[str, list[float]] = field(default_factory=dict)
     spread: dict[str, list[float]] = field(default_factory=dict)

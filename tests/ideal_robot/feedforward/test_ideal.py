@@ -16,7 +16,7 @@ from ideal_robot.feedforward.corrected_arm import CorrectedArm, ForCorrectedArm
 from ideal_robot.feedforward.inverse import AHEAD, COMPLETE, Inverse, Options
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop import checked, inertia_at
+from ideal_robot.loop.loop import checked, mass_at
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -54,20 +54,27 @@ def test_what_drives_do_by_themselves_is_inverted_with_the_loop(options: Options
     """Friction that they compensate, and gains that follow the inertia: by a loop that knows neither more is left."""
     plain, q_d = plant(), motion()
     half = 0.5 * plain.friction.dry
-    known = checked(plain.changed(compensation=half, v_compensation=np.full(6, 0.05), schedule=0.6,
-                                  scheduled_at=1.4 * inertia_at(plain.chain, ROBOT.rotor_inertia, ROBOT.home)))
+    known = checked(plain.changed(friction_torque=half, turning_speed=np.full(6, 0.05), schedule=0.6,
+                                  scheduled_at=1.4 * np.diag(mass_at(plain.chain, ROBOT.rotor_inertia, ROBOT.home))))
     usual = off(plain, Inverse(plain, options=options), q_d)
     left, without = (off(known, Inverse(loop, options=options), q_d) for loop in (known, plain))
     assert left < 2.0 * usual
     assert without > times * left
 
 
+HEAVY = 0.9 * np.diag(mass_at(plant().chain, ROBOT.rotor_inertia, ROBOT.home))
+
+
 @pytest.mark.parametrize(("keys", "share"), [
     ({"integrated": 0.0, "k_ff": np.ones(6)}, 0.02), ({"integrated": 0.4}, 0.02),
     ({"k_i": np.zeros(6), "k_ff": np.zeros(6), "bodies": np.ones(6)}, 0.02),
-    ({"k_i": np.zeros(6), "bodies": np.full(6, 0.8)}, 0.05)])
+    ({"k_i": np.zeros(6), "bodies": np.full(6, 0.8)}, 0.05),
+    ({"k_ff": np.ones(6), "t_rate": 0.012}, 0.02), ({"integrated": 0.0, "k_ff": np.ones(6), "t_rate": 0.01}, 0.02),
+    ({"integrated": 0.3, "k_ff": np.ones(6), "k_a": np.full(6, 0.03), "t_rate": 0.01}, 0.02),
+    ({"k_i": np.zeros(6), "k_ff": np.ones(6), "k_a": np.full(6, 0.03), "t_rate": 0.01, "bodies": np.full(6, 1.1),
+      "coupled": True, "scheduled_at": HEAVY}, 0.05)])
 def test_controllers_beside_the_cascade_are_inverted(keys: dict[str, Any], share: float) -> None:
-    """PID control of the position, one between it and a cascade, impedance control, and such that sags."""
+    """PID control, one between it and a cascade, impedance control, such that sags, inverse dynamics, lagging rates."""
     loop, q_d = checked(plant().changed(**keys)), motion(lead=60)
     assert off(loop, Inverse(loop), q_d, 60) < share * off(loop, PassThrough(T), q_d, 60)
 

@@ -181,9 +181,10 @@ def test_models_without_controller_are_refused():
 
 
 def test_gains_survive_the_way_through_the_papers_form():
-    # The first four of the record: k_v, k_ff, k_p, k_i.
-    for gain, true in zip(cascade_gains(nominal_model().controller), plant().cascade[:4], strict=True):
-        np.testing.assert_allclose(gain, true, rtol=1e-9)
+    cascade = plant().cascade
+    true = cascade.k_v, cascade.k_ff, cascade.k_p, cascade.k_i
+    for gain, wanted in zip(cascade_gains(nominal_model().controller), true, strict=True):
+        np.testing.assert_allclose(gain, wanted, rtol=1e-9)
 
 
 # Linear closed loops: identified, predicted, inverted, also where the inverse would be unstable.

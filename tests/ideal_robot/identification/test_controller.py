@@ -206,6 +206,36 @@ def test_impedance_control_that_compensates_bodies_is_found() -> None:
     np.testing.assert_array_equal(k_i, 0.0)
 
 
+@pytest.mark.slow
+def test_pid_control_and_how_its_rates_lag_are_found() -> None:
+    """The integrator gets the position alone, and the command's rate passes a lag of 10 ms."""
+    world = dataclasses.replace(World.default("kr15"), controller="pid")
+    fit = fit_controller(all_joints(world), ROBOT, ROBOT.rotor_inertia)
+    assert fit.controller.integrated == 0.0
+    assert fit.controller.rate_filter == pytest.approx(0.01, rel=0.5)
+    k_v, k_ff, k_p, _ = cascade_gains(fit.controller)
+    np.testing.assert_allclose(k_v[:3], world.per_joint("position_gain", 6)[:3], rtol=0.1)
+    np.testing.assert_allclose(k_ff, 1.0, atol=0.05)
+    np.testing.assert_allclose(k_p[:3], world.per_joint("velocity_gain", 6)[:3], rtol=0.1)
+    assert np.all(fit.error_percent < 5.0)
+
+
+@pytest.mark.slow
+def test_inverse_dynamics_is_found_with_what_its_bodies_are_too_heavy_by() -> None:
+    """Accelerations are asked for, and a mass matrix makes torques of them, 10 % too heavy."""
+    world = dataclasses.replace(World.default("kr15"), controller="inverse_dynamics")
+    fit = fit_controller(all_joints(world), ROBOT, ROBOT.rotor_inertia)
+    assert fit.controller.coupled
+    assert fit.controller.bodies is not None
+    np.testing.assert_allclose(fit.controller.bodies[:3], 1.1, atol=0.05)
+    # 1.4 K_v of velocities and K_v² of positions, by 1.1 J_0: the ratio is K_v / 1.4.
+    k_v, _, k_p, k_i = cascade_gains(fit.controller)
+    stiff = 1.1 * world.per_joint("position_gain", 6) ** 2 * fit.controller.scheduled_at
+    np.testing.assert_allclose((k_v * k_p)[:3], stiff[:3], rtol=0.15)
+    np.testing.assert_array_equal(k_i, 0.0)
+    assert np.all(fit.error_percent < 5.0)
+
+
 def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
     """A cascade of the module's own equation before a sine: present torques, and means since the last sample."""
     t, cycle, every = 0.002 * np.arange(6000), 0.002, 4
