@@ -78,14 +78,17 @@ def _searched(case: Case, found: Findings, start: Sequence[Candidate]) -> Findin
     if not np.all(np.asarray(case.given.noise_std) > 0.0):
         # A model that does not say what it left: what nothing smooth explains beside any arm of the type.
         widest = max(hypotheses(case.given, about.differs), key=lambda h: float(np.sum(h.root**2)))
-        noise = BestSet(found.problem.with_root(widest.root), [], absorbed=True).noise
+        beside = BestSet(found.problem.with_root(widest.root), [], absorbed=True)
+        noise, regression = beside.noise, replace(found.problem.regression, use=beside.rows)
+        found = replace(found, problem=found.problem.with_regression(regression))
     for hypothesis in hypotheses(case.given, about.differs):
         best = BestSet(found.problem.with_root(hypothesis.root), effects, absorbed=True, only=case.only,
                        noise=noise, progress=case.progress)
         best.run(start)
-        sets.append((best.total + hypothesis.logarithm, hypothesis.name, best))
-    _, name, best = max(sets, key=lambda s: s[0])
-    return replace(found, best=best, taken_for=name, problem=best.problem)
+        sets.append((hypothesis, best))
+    every = [choice for _, best in sets for choice in best.choices]
+    hypothesis, best = max(sets, key=lambda s: s[0].logarithm + s[1].total(every))
+    return replace(found, best=best, taken_for=hypothesis.name, problem=best.problem)
 
 
 def _finished(case: Case, found: Findings) -> Findings:
