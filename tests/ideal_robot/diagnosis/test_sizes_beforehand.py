@@ -89,7 +89,7 @@ def test_an_error_of_form_is_in_what_parameters_with_a_prior_are_estimated_from_
     best.take([spring])
     best.add(dry)
     makes = best.narrow(dry, [spring])[0, 0] * best.system.groups[dry.key].values
-    # Five per cent of what the spring makes, and what the class errs by; as if the rows were right it is 8.5 times the spring.
+    # Five per cent of what the spring makes, and what the class errs by; with rows taken for right, 8.5 times it.
     share = float(np.std(makes) / np.std(pulls))
     assert 0.02 < share < 0.2
 
