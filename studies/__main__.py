@@ -29,8 +29,8 @@ GROUPS = {
         "fusion-cost": "fusion",
     },
     "accuracy": {
-        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-fast": "arms", "knew": "arms",
-        "urdfs": "arms", "controllers": "controllers", "controlled-line": "controlled_line",
+        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-cell": "arms", "arms-fast": "arms",
+        "knew": "arms", "urdfs": "arms", "controllers": "controllers", "controlled-line": "controlled_line",
         "five-commands": "five_commands",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths", "friction-sigma": "adapted_friction",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",

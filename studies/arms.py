@@ -16,7 +16,7 @@ from scenes.arms import arm_of
 from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
 from scenes.line.result import LineResult
-from scenes.methods import ADAPTED, IDEAL, NONE
+from scenes.methods import ADAPTED, DIRECT, IDEAL, NONE, SENSOR_PATH
 from scenes.models import own_model
 from scenes.placing import place_line, scene_text
 from scenes.scene_file import library, load_scene
@@ -125,6 +125,25 @@ def arms_adapted(individuals: str = "1-20", seeds: str = "6-8") -> None:
     head("individual", "the arm's part, `ideal`, mm", "`adapted`, mm", "`adapted` / `ideal`")
     for individual, arm in parts.items():
         row(individual, *_mm(arm.mean(axis=1)), _ratio(*arm))
+
+
+def arms_cell(individuals: str = "1-20", seeds: str = "1-3") -> None:
+    """Arms with their own models in a cell as it is, mean / 95 % in mm, beside direct feedback and the sensed path.
+
+    An arm's model takes 90 s of processor time (kept in the user's cache folder), a run 15 s. Rows come as they end.
+    """
+    draws = _whole(seeds)
+    head("individual", *(f"seed {seed}: `{ADAPTED}`" for seed in draws), f"`{SENSOR_PATH}`", f"`{DIRECT}`")
+    means, p95 = list[float](), list[float]()
+    for individual in _whole(individuals):
+        scene = chosen(scene_of(LineScene, "line"), individual=individual).changed(world={"base": "cell"}, model=OWN)
+        runs = np.array([_error(scene, seed, ADAPTED)[:2] for seed in draws])
+        beside = [_error(scene, draws[0], method)[:2] for method in (SENSOR_PATH, DIRECT)]
+        row(individual, *(" / ".join(_mm(one)) for one in (*runs, *beside)))
+        means, p95 = [*means, *runs[:, 0]], [*p95, *runs[:, 1]]
+    row("all", f"mean of the means {1e3 * np.nanmean(means):.3f}, worst {1e3 * np.nanmax(means):.3f}",
+        f"mean of the 95 % {1e3 * np.nanmean(p95):.3f}, worst {1e3 * np.nanmax(p95):.3f}",
+        f"failed {int(np.isnan(means).sum())} of {len(means)}")
 
 
 def arms_fast(individuals: str = "1-4", seeds: str = "1-2", speed: float = 2.0) -> None:

@@ -18,7 +18,7 @@ from scipy import linalg
 
 from ideal_robot.arrays import Array
 
-ROUNDING = 1e-12
+ROUNDING = 1e-9
 """Share of a column's own squares that is added to them: what lies below is rounding of double precision's products."""
 
 
@@ -39,11 +39,6 @@ class Posterior:
     scale: Array
     squares: float
     logarithm: float
-
-    @property
-    def rounding(self) -> Array:
-        """What rounding adds to the diagonal of the precision ``(P,)``."""
-        return np.asarray(ROUNDING / self.scale**2)
 
     @cached_property
     def covariance(self) -> Array:
@@ -139,3 +134,17 @@ def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: A
     back = root @ vectors
     return Joined(back @ (along / values), (back / values) @ back.T,
                   float(0.5 * (along**2 / values).sum() - 0.5 * np.log(values).sum()))
+
+
+def measured(mean: Array, covariance: Array, places: np.ndarray, y: Array, variance: Array) -> tuple[Array, Array]:
+    """Mean ``(p,)`` and covariance ``(p, p)`` of parameters after some of them were measured one by one.
+
+    Args:
+        mean, covariance: before ``(p,)``, ``(p, p)``.
+        places: of the measured parameters ``(k,)``.
+        y, variance: what was measured, and the variance of its noise ``(k,)``.
+    """
+    seen = covariance[:, places]
+    gain = np.linalg.solve(covariance[np.ix_(places, places)] + np.diag(variance), seen.T).T
+    after = covariance - gain @ seen.T
+    return mean + gain @ (y - mean[places]), 0.5 * (after + after.T)

@@ -16,7 +16,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.friction import FrictionModel, PerJointFriction
+from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.friction_runs import FoldEquations, FrictionProjection
 from ideal_robot.signals.preprocess import FilteredSignals
 
@@ -27,7 +27,8 @@ _WORTH = 0.02
 _PRESLIDING = (1e-5, 0.1)
 """Presliding distances that are tried [rad or m]: from an encoder's step to more than any gear gives."""
 _CLEARLY = 0.9
-"""Once presliding lowers the held-out error to this share, laws without it are not tried any more."""
+"""Once presliding lowers the held-out error to this share, laws without it are not tried any more; a spring of a cable
+has to."""
 _VARIES = 0.1
 """Least share of its size by which a load must vary; else its friction is dry friction by another name."""
 
@@ -142,6 +143,26 @@ class FrictionChoice:
                 self._filtered[key] = self._signals[recording].decimate(column)
             result.append(self._filtered[key])
         return np.column_stack(result)
+
+    def pulled(self, springs: Array) -> np.ndarray:
+        """Mask ``(n,)`` of joints that a spring pulls: with one, what is held out is predicted clearly better.
+
+        A hose or cable along the arm is one. Where it is not looked for, friction that is another one forward and
+        backward comes nearest to it.
+
+        Args:
+            springs: decimated torques of a spring of 1 N m/rad on each joint ``(M, n)`` [N m].
+        """
+        simplest = Candidate(law_of("viscous_coulomb"), presliding=True, loaded=False)
+        chosen = [(simplest, self._start(simplest))] * self._y.shape[1]
+        mask = np.zeros(len(chosen), dtype=bool)
+        for j in np.flatnonzero(self._live).tolist():
+            projection = self._projection(chosen, j)
+            columns = self.columns(j, simplest, self._shape(projection, j, simplest, {}, polish=False))
+            both = np.column_stack([columns, springs[:, j] / self._noise[j]])
+            with_spring = projection.held_out(both, np.append(simplest.braking, True))
+            mask[j] = with_spring < _CLEARLY * projection.held_out(columns, simplest.braking)
+        return mask
 
     def choose(self, options: Sequence[Candidate]) -> tuple[list[FrictionModel], list[dict[str, float]]]:
         """The best of the options for each joint, with their shape (coefficients still ones).

@@ -176,6 +176,7 @@ def _model_of(fit: JointFit, robot: Robot, base: BaseParameters, recordings: Seq
             "samples_counted_percent": (100.0 * fit.counted).tolist(),
             "position_error": _errors(budgets),
         },
+        effects=fit.springs,
     )
 
 

@@ -10,10 +10,16 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, full_regressor, torques, with_link_parameters
 from ideal_robot.dynamics.consistent_inertias import Consistency, consistent_parameters
+from ideal_robot.effects import EffectParameter, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.friction import LAWS, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.friction_choice import FrictionChoice, brakes, candidates, with_coefficients
-from ideal_robot.identification.weighted_least_squares import Prior, Solution, weighted_least_squares
+from ideal_robot.identification.weighted_least_squares import (
+    Prior,
+    Solution,
+    rotors_of,
+    weighted_least_squares,
+)
 from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import coefficient_columns, shape_columns
@@ -62,6 +68,7 @@ class JointFit:
         consistency: physically possible parameters.
         scores: per joint, held-out residual of each friction law tried.
         counted: per joint, what the samples weighed in the end, as a share of all samples ``(n,)``.
+        springs: effects of hoses and cables that pull a joint.
     """
 
     solution: Solution
@@ -69,6 +76,7 @@ class JointFit:
     consistency: Consistency
     scores: tuple[dict[str, float], ...]
     counted: Array
+    springs: tuple[FittedEffect, ...] = ()
 
 
 class JointProblem:
@@ -92,6 +100,8 @@ class JointProblem:
             [s.qd[:: s.factor][s.keep] for s in signals], [b.velocity for b in budgets],
             [b.acceleration for b in budgets]))
         self._rate = np.nan_to_num(np.concatenate([s.decimate(np.gradient(s.tau, s.dt, axis=0)) for s in signals]))
+        # Joints that a hose or cable pulls, from 0, and the torque of its spring of 1 N m/rad (M, n, k).
+        self._pulled, self._springs = np.zeros(0, dtype=int), np.zeros((*self._y.shape, 0))
         self._regions = regions_of_motion(np.concatenate([s.q[:: s.factor][s.keep] for s in signals]), self._velocity)
 
     def fit(self, wanted: str) -> JointFit:
@@ -103,9 +113,12 @@ class JointProblem:
                 else self._load(self._base.nearest_full(values, self._prior.nominal)))
         variance = self._variance(rough)
         barred: set[int] = set()
+        if wanted == "auto":
+            self._pull(FrictionChoice(self._signals, self._W, self._y - self._W @ self._prior.start, load,
+                                      rough.noise_std, self._prior.information))
         for _ in range(_ATTEMPTS):
             laws, scores = self._laws(wanted, load, rough.noise_std, frozenset(barred))
-            solution, friction = self._final(laws, load, variance)
+            solution, friction, springs = self._final(laws, load, variance)
             base_values = solution.value[: self._base.count]
             b = self._base.count
             consistency = consistent_parameters(self._base, base_values, solution.covariance[:b, :b],
@@ -122,7 +135,15 @@ class JointProblem:
         weight = np.mean(noise**2 / (noise**2 + variance), axis=0)
         share = len(self._y) / sum(len(s.keep) for s in self._signals)
         live = ~np.isnan(self._y).all(axis=0)
-        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, share * weight, 0.0))
+        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, share * weight, 0.0), springs)
+
+    def _pull(self, choice: FrictionChoice) -> None:
+        """Finds the joints that a spring pulls, and keeps their columns."""
+        q = np.concatenate([s.decimate(s.q) for s in self._signals])
+        self._pulled = np.flatnonzero(choice.pulled(q))
+        self._springs = np.zeros((*q.shape, len(self._pulled)))
+        for column, j in enumerate(self._pulled):
+            self._springs[:, j, column] = q[:, j]
 
     def _rough(self, *, correlated: bool = False) -> Solution:
         """Fit of dry and viscous friction; of its covariance only wrong signs ask for more than that of white noise."""
@@ -138,34 +159,68 @@ class JointProblem:
                                       segments=self._segments if correlated else None, variance=variance,
                                       regions=self._regions)
 
+    def _beside(self, W: Array, nonnegative: np.ndarray, variance: Array, held: np.ndarray, values: Array) -> Array:
+        """All parameters ``(P,)`` where some of them are held at values.
+
+        Args:
+            W, nonnegative, variance: as of the fit.
+            held, values: places of those parameters ``(k,)``, and what they are.
+        """
+        others = W.copy()
+        others[:, :, held] = 0.0
+        start = np.concatenate([self._prior.start, np.zeros(W.shape[2] - self._base.count)])
+        value = weighted_least_squares(others, self._y - W[:, :, held] @ values, start, self._prior.padded(W.shape[2]),
+                                       nonnegative=nonnegative, variance=variance).value.copy()
+        value[held] = values
+        return value
+
     def _laws(self, wanted: str, load: Sequence[Array], noise: Array, barred: frozenset[int],
               ) -> tuple[list[FrictionModel], list[dict[str, float]]]:
         automatic = [law for law in map(law_of, LAWS.names()) if law.automatic]
         options = candidates(automatic, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
         if len(options) == 1 and not options[0].bounds:
             return [options[0].make(()) for _ in range(self._robot.n)], [{} for _ in range(self._robot.n)]
-        choice = FrictionChoice(self._signals, self._W, self._y - self._W @ self._prior.start, load, noise,
-                                self._prior.information, barred)
+        rigid = np.concatenate([self._W, self._springs], axis=2)
+        choice = FrictionChoice(self._signals, rigid, self._y - self._W @ self._prior.start, load, noise,
+                                self._prior.padded(rigid.shape[2]), barred)
         return choice.choose(options)
 
     def _final(self, laws: Sequence[FrictionModel], load: Sequence[Array],
-               variance: Array) -> tuple[Solution, PerJointFriction]:
+               variance: Array) -> tuple[Solution, PerJointFriction, tuple[FittedEffect, ...]]:
         rigid = self._W.copy()
         for j, law in enumerate(laws):
             if law.holds_offset:
                 # An offset is the difference of the two dry frictions; the law has it, so it is no parameter itself.
                 rigid[:, :, self._base.names.index(f"offset_{j + 1}")] = 0.0
-        W = np.concatenate([rigid, self._columns(coefficient_columns, laws, load)], axis=2)
-        nonnegative = np.concatenate([np.zeros(self._base.count, dtype=bool), *[law.nonnegative for law in laws]])
+        W = np.concatenate([rigid, self._columns(coefficient_columns, laws, load), self._springs], axis=2)
+        places = np.arange(W.shape[2] - len(self._pulled), W.shape[2])
+        nonnegative = np.concatenate([np.zeros(self._base.count, dtype=bool), *[law.nonnegative for law in laws],
+                                      np.ones(len(places), dtype=bool)])
+        coefficients = slice(self._base.count, W.shape[2] - len(places))
         solution = self._solved(W, nonnegative, variance)
-        friction = with_coefficients(laws, solution.value[self._base.count :])
+        whole = self._with_shape(solution, W, with_coefficients(laws, solution.value[coefficients]), load)
+        rotors, values, covariance = rotors_of(whole, self._base, self._prior)
+        if len(rotors):
+            # All else is fitted anew beside them.
+            value = self._beside(W, nonnegative, variance, rotors, values)
+            whole = replace(whole, value=np.concatenate([value, whole.value[W.shape[2] :]]), covariance=covariance,
+                            residual=self._y - W @ value)
+        friction = with_coefficients(laws, whole.value[coefficients])
         fastest = np.max(np.abs(self._velocity), axis=0)
         wrong = [j for j, law in enumerate(friction.laws) if not brakes(law, fastest[j])]
         if wrong:
             # Only the sum of a degressive law's terms has to brake: bounds of single coefficients cannot ensure it.
             plain = candidates([law_of("viscous_coulomb")], refine=False)[0].make(())
             return self._final([plain if j in wrong else law for j, law in enumerate(laws)], load, variance)
-        return self._with_shape(solution, W, friction, load), friction
+        springs = tuple(self._spring(int(j), float(whole.value[k]), float(np.sqrt(whole.covariance[k, k])))
+                        for j, k in zip(self._pulled, places, strict=True))
+        return _without(whole, places), friction, springs
+
+    def _spring(self, j: int, stiffness: float, std: float) -> FittedEffect:
+        """A hose or cable that pulls joint ``j`` (from 0) by its stiffness [N m/rad]; its rest is in the offset."""
+        unit = f"{self._robot.units('N m')[j]}/{self._robot.units('rad')[j]}"
+        return FittedEffect("cable_spring", j + 1, f"tau_{j + 1}", (stiffness,), (std,),
+                            parameters=(EffectParameter("stiffness", stiffness, std, unit),))
 
     def _columns(self, of_law: Callable[[FrictionModel, Array, Array, Array], Array], laws: Sequence[FrictionModel],
                  load: Sequence[Array]) -> Array:
@@ -241,6 +296,14 @@ class JointProblem:
             rows = (pushed - at_rest)[:, j][:, independent]
             felt[j] = float(np.mean(rows @ rough.value[: self._base.count]))
         return felt
+
+
+def _without(solution: Solution, places: np.ndarray) -> Solution:
+    """The solution without the parameters at these places."""
+    keep = np.delete(np.arange(len(solution.value)), places)
+    return replace(solution, value=solution.value[keep], covariance=solution.covariance[np.ix_(keep, keep)],
+                   std_white=solution.std_white[keep], unexcited=solution.unexcited[keep],
+                   at_bound=solution.at_bound[keep])
 
 
 _PASSED = 20.0

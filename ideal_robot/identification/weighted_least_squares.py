@@ -11,6 +11,7 @@ from scipy import optimize, stats
 from ideal_robot.arrays import Array, G
 from ideal_robot.dynamics import BaseParameters, link_parameters, torques
 from ideal_robot.dynamics.consistent_inertias import parameter_scales
+from ideal_robot.estimate.gaussian import measured
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import not_zero
 from ideal_robot.signals.preprocess import FilteredSignals
@@ -288,6 +289,11 @@ def _jackknife(W: Array, residual: Array, inverse: Array, blocks: Sequence[np.nd
 # A motion that excites is not moved by it. What a motion leaves open stays near what a body of that size can have,
 # instead of being filled with noise that no other motion would show.
 
+_ROTOR = 0.3
+"""Standard deviation of a rotor's inertia that drive data give, relative to it: what they leave out is coupling, brake
+and the gear's input side."""
+_CONTRADICTS = 3.0
+"""Standard deviations by which an identified rotor is off the drive data's where these are no longer believed."""
 _OFFSET = 0.2
 """Standard deviation of a torque offset, relative to that of the torque."""
 
@@ -339,6 +345,32 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     size = np.sqrt(np.diag(covariance))
     inverse = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size)
     return Prior(unit * nominal, base.of(unit * nominal), np.asarray(inverse))
+
+
+def rotors_of(solution: Solution, base: BaseParameters, prior: Prior) -> tuple[np.ndarray, Array, Array]:
+    """Places of rotor inertias among the parameters, their values ``(k,)``, and the covariance of all parameters.
+
+    They are weighed against those that drive data give, where these give one. Least squares count what a model class
+    lacks as noise of single samples, and would outweigh what is known of a rotor by a residual that looks like
+    acceleration. Weighed with the covariance that holds what samples have in common and regions disagree about, a rotor
+    is the data's where they tell, and the drive data's where they do not. Of rotors that only show together with links
+    nothing is said.
+
+    Args:
+        solution: its first parameters are the base parameters.
+        base, prior: grouping of the parameters, and what is known of them.
+    """
+    n = len(prior.nominal) // 12
+    alone = np.flatnonzero(np.count_nonzero(base.grouping, axis=1) == 1)
+    held = np.argmax(base.grouping[alone] != 0.0, axis=1)
+    rotors = base.grouping[alone, held] * prior.nominal[held]
+    variance, own = (_ROTOR * rotors) ** 2, solution.covariance[alone, alone]
+    # Data that contradict the drive data by more than both allow show a wrong table: a rotor without its gear ratio.
+    agree = (solution.value[alone] - rotors) ** 2 < _CONTRADICTS**2 * (variance + own)
+    known = (held // n == 10) & (rotors > 0.0) & (own > 0.0) & agree
+    places = alone[known]
+    value, covariance = measured(solution.value, solution.covariance, places, rotors[known], variance[known])
+    return places, value[places], covariance
 
 
 def _gain(robot: Robot, signals: Sequence[FilteredSignals]) -> float:

@@ -243,8 +243,9 @@ def _play(chain: Chain, drives: Drives, friction: Friction, controller: tuple[Ca
         joint_frames(chain, q_a, R, p)
         mass_matrix(chain, R, p, M)
         for i in range(n):
-            # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
-            M[i, i] += 0.5 * dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
+            # Implicit midpoint for the springs of gears, implicit Euler for their damping, which does not ring where a
+            # link is much lighter than it: light wrists on stiff gears stay stable at this step.
+            M[i, i] += dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
         if not factor(M):
             raise np.linalg.LinAlgError("the mass matrix is not positive definite")
         for sub in range(substeps):
@@ -261,12 +262,14 @@ def _play(chain: Chain, drives: Drives, friction: Friction, controller: tuple[Ca
                 mesh, slope = _gear(drives, state, i)
                 net = ((tau - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
                        - ripple_torque(drives.ripple, i, q_m[i]))
+                before = v_m[i]
                 v_m[i] = _rotor(friction, drives.rotor_inertia[i], state, net, dt, i)
-                # What the gear's torque gains in half a step.
-                rise[i] = mesh * 0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - v_a[i])
+                # What the gear's spring gains in half a step, and its damper by the motor's acceleration.
+                rise[i] = mesh * (0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - v_a[i])
+                                  + drives.damping[i] * slope * (v_m[i] - before))
             for i in range(n):
                 acceleration[i] = load[i] - bias[i] + external[cycle, i] + rise[i]
-            # (M + dt/2 D + dt²/4 K) a = load half a step on - bias.
+            # (M + dt D + dt²/4 K) a = load of a spring half a step on and of a damper a step on - bias.
             solve(M, acceleration)
             for i in range(n):
                 v_a[i] += acceleration[i] * dt

@@ -94,6 +94,37 @@ def test_friction_laws_and_refinements_are_found() -> None:
         np.testing.assert_allclose(fitted[j].torque(speed), laws[j].torque(speed), rtol=0.08)
 
 
+@pytest.mark.parametrize("pulled", [(), (3, 5)])
+def test_hoses_are_found_on_the_joints_that_they_pull_and_friction_stays_what_it_is(pulled: tuple[int, ...]) -> None:
+    """A spring that is not looked for becomes friction that is another one forward and backward."""
+    rng, what = np.random.default_rng(3), truth()
+    recording = record(what, rng)
+    tau, q = recording.joints("tau"), recording.joints("q")
+    stiffness = np.array([0.1 * what.friction.laws[j - 1].coefficients[0, 0] / np.std(q[:, j - 1]) * 3.0
+                          for j in pulled])
+    for j, k in zip(pulled, stiffness, strict=True):
+        tau[:, j - 1] += k * q[:, j - 1]
+    model = identify([replace(recording, columns={**recording.columns, **{
+        f"tau_{j + 1}": tau[:, j] for j in range(6)}})], robot()).model
+    springs = {effect.joint: effect for effect in model.effects}
+    assert set(springs) == set(pulled)
+    for j, k in zip(pulled, stiffness, strict=True):
+        assert springs[j].coefficients[0] == pytest.approx(k, abs=3.0 * springs[j].std[0])
+        speed = np.linspace(-1.0, 1.0, 20)[:, None] * np.eye(6)[j - 1]
+        np.testing.assert_allclose(model.friction.torque(speed)[:, j - 1], what.friction.torque(speed)[:, j - 1],
+                                   atol=0.15 * what.friction.laws[j - 1].coefficients[0, 0])
+
+
+@pytest.mark.parametrize(("factor", "believed"), [(1.2, True), (1e-3, False)])
+def test_drive_data_say_what_a_rotor_is_unless_the_motion_contradicts(factor: float, believed: bool) -> None:
+    """A table of rotors without their gear ratios is not believed; one that is 20 % off is, where noise hides them."""
+    rng, what = np.random.default_rng(2), truth()
+    told = replace(robot(), rotor_inertia=factor * robot().rotor_inertia)
+    model = identify([record(what, rng)], told).model
+    true = robot().rotor_inertia[2:]
+    assert np.all(np.abs(model.rotor_inertia[2:] / true - 1.0) < (0.3 if believed else 0.5))
+
+
 def test_prediction_covers_what_is_measured() -> None:
     what, rng = truth(), np.random.default_rng(9)
     model = identify([record(what, rng)], robot(), friction="viscous_coulomb").model
