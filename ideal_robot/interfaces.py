@@ -19,6 +19,7 @@ from ideal_robot.registry import Registry, imported
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkedRobot
 from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.state_reader import StateReader
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class LinkSettings:
 
 Opener = Callable[[Address, Robot, LinkSettings], LinkedRobot]
 """Makes the link to an address for a robot; it is connected by whoever asked for it."""
+ReaderOpener = Callable[[Address, Robot, float], StateReader]
+"""Begins to read the states at an address, of a robot, waited for so long [s]."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,7 @@ class ArmInterface:
         package: of the wire, as it is imported; empty where the wire is ours.
         extra: of ``pip install 'ideal-robot[…]'``; empty where none is needed.
         cycle: the interpolation cycle where there is only one [s]; None where the robot's data or ``--cycle`` say it.
+        read: ``"module:function"`` of a ``ReaderOpener``; empty where a controller tells nobody but who leads the arm.
     """
 
     title: str
@@ -74,6 +78,7 @@ class ArmInterface:
     package: str = ""
     extra: str = ""
     cycle: float | None = None
+    read: str = ""
 
     @property
     def installed(self) -> bool:
@@ -100,7 +105,8 @@ RSI = ArmInterface(
     "own and four public simulators")
 RTDE = ArmInterface(
     "Universal Robots RTDE", "ideal_robot.rtde.robot:opened", "rtde://192.168.1.30", "2 or 8 ms",
-    "angles, currents, safety state, override, payload, accelerometer", "own simulator; ur_rtde as client")
+    "angles, currents, safety state, override, payload, accelerometer", "own simulator; ur_rtde as client",
+    read="ideal_robot.rtde.reader:reader")
 FRANKA = ArmInterface(
     "Franka FCI", "ideal_robot.fci.robot:opened", "franka://192.168.1.11", "1 ms, or whole milliseconds interpolated",
     "angles, setpoints, torques, external torques and wrench, mode", "franky-sim (MuJoCo)", "pylibfranka", "franka",
@@ -113,7 +119,8 @@ EGM = ArmInterface(
     "own controller, which two clients of others lead", "abb_robot_client", "egm")
 ROS2 = ArmInterface(
     "ROS 2", "ideal_robot.ros2.robot:opened", "ros2://?commands=/forward_position_controller/commands",
-    "of the joint states", "angles, speeds, efforts", "own node", "rclpy", "ros2")
+    "of the joint states", "angles, speeds, efforts", "own node", "rclpy", "ros2",
+    read="ideal_robot.ros2.states:reader")
 
 INTERFACES: Registry[ArmInterface] = Registry("interface", "ideal_robot.interfaces", {
     "rsi": "ideal_robot.interfaces:RSI",
@@ -167,6 +174,37 @@ def connected_arm(address: str, robot: Robot, settings: LinkSettings, patience: 
     with opened(place, robot, settings) as link:
         _connect(link, patience)
         yield link
+
+
+@contextmanager
+def read_arm(address: str, robot: Robot, patience: float, option: str) -> Iterator[StateReader]:
+    """Reads the states of an arm that somebody else leads; ended at the end of the block.
+
+    Args:
+        address: ``scheme://…``.
+        robot: whose joints they are, and the cycle in which they are wanted.
+        patience: how long it is waited for [s].
+        option: the command line's name of the address, for messages.
+
+    Raises:
+        InputError: an address that cannot be used, an interface that tells nobody but who leads the arm, nobody there,
+            states that are not the robot's.
+    """
+    interface, place = interface_of(address, option)
+    if not interface.read:
+        names = [name for name in INTERFACES.names() if INTERFACES.get(name).read]
+        raise InputError(f"{interface.title} reports to nobody but the program that leads the arm; expected "
+                         f"{' or '.join(f'{name}://' for name in names)}, on which others read along", field=option,
+                         value=address[:80])
+    opened: ReaderOpener = imported(cast(Any, interface.read))
+    try:
+        reader = opened(place, robot, patience)
+    except InputError:
+        raise
+    except IdealRobotError as error:
+        raise InputError(str(error), field=option, value=address[:80]) from error
+    with reader:
+        yield reader
 
 
 def _connect(link: LinkedRobot, patience: float) -> None:

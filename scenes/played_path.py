@@ -142,10 +142,11 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
     if described(settings.method).needs == Needs.NOTHING:
         arm = Robot.load(robot) if robot is not None else prepared(model=settings.model, method=settings.method)[0]
         arm = arm if cycle is None else at_cycle(arm, cycle)
-        law, loop, model = PassThrough(arm.t_ipo), None, None
+        law, identified, model = PassThrough(arm.t_ipo), None, None
     else:
-        arm, law, loop, model = prepared(robot=robot, model=settings.model, method=settings.method, cycle=cycle)
-    within, response = (None, None) if loop is None else (answers_within(loop, arm), response_of(loop, arm))
+        arm, law, identified, model = prepared(robot=robot, model=settings.model, method=settings.method, cycle=cycle)
+    response = None if identified is None else response_of(identified, arm)
+    within = None if response is None else answers_within(response, arm.t_ipo)
     given = read_path(path, arm)
     t, column = given.t, given.column
     _, desired, warnings = path_at_cycles(t, given.q_d, arm, rest=settings.rest, file=str(path), column=column)

@@ -7,19 +7,22 @@ behind controllers that were written from the makers' documents.
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ideal_robot.robots.robot import Robot
+from scenes.online.processes import undisturbed
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.egm_controller import EgmController
@@ -82,8 +85,18 @@ def crx_urdf() -> str:
     return f'<robot name="crx10ial">{"".join(parts)}</robot>\n'
 
 
+def write_fr3(folder: Path) -> Path:
+    """Writes the FR3's URDF and drive data to a folder; returns the path of the URDF."""
+    from franky_sim import FR3_URDF
+
+    (folder / "fr3.urdf").write_text(FR3_URDF, encoding="utf-8")
+    (folder / "fr3.toml").write_text(FR3_DATA, encoding="utf-8")
+    return folder / "fr3.urdf"
+
+
 @contextmanager
-def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0) -> Iterator[tuple[str, Path]]:
+def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0, start: Sequence[float] = FR3_HOME,
+        states: str = "") -> Iterator[tuple[str, Path]]:
     """An FR3 behind libfranka's protocol, by ``franky-sim``; yields its address and its URDF.
 
     Args:
@@ -91,13 +104,13 @@ def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0) -> Iterat
         host: loopback address.
         slowed: how many times as long a millisecond of the simulation takes; 0: a millisecond begins when the one
             before was answered, so that no busy computer decides what is played.
+        start: where the arm stands first ``(7,)`` [rad].
+        states: namespace of ROS 2 in which joint states are published every 4 ms, as the node that leads a real arm
+            does: FCI tells one client alone; empty for none.
     """
-    from franky_sim import FR3_URDF
-
-    (folder / "fr3.urdf").write_text(FR3_URDF, encoding="utf-8")
-    (folder / "fr3.toml").write_text(FR3_DATA, encoding="utf-8")
-    with _served("fr3", host, str(slowed)):
-        yield f"franka://{host}", folder / "fr3.urdf"
+    urdf = write_fr3(folder)
+    with _served("fr3", host, str(slowed), ",".join(map(repr, map(float, start))), states):
+        yield f"franka://{host}", urdf
 
 
 @contextmanager
@@ -150,20 +163,78 @@ def _served(*words: str) -> Iterator[str]:
         process.wait()
 
 
-def _serve_fr3(host: str, slowed: str) -> None:
+def _serve_fr3(host: str, slowed: str, start: str = "", states: str = "") -> None:
     from franky_sim import SimulationServer
     from franky_sim.mujoco_simulator import MujocoSimulator
 
-    with MujocoSimulator() as sim:
-        sim.add_robot(initial_q=FR3_HOME, kv=FR3_GAINS)
+    at = [float(angle) for angle in start.split(",")] if start else FR3_HOME
+    with MujocoSimulator() as sim, _broadcaster(states) as tell:
+        sim.add_robot(initial_q=at, kv=FR3_GAINS)
         with SimulationServer(sim, [host]) as server:
             print("ready", flush=True)
             if float(slowed):
-                server.run_forever(float(slowed))
-            _answered_milliseconds(server)
+                _timed_milliseconds(server, float(slowed), tell)
+            _answered_milliseconds(server, tell)
 
 
-def _answered_milliseconds(server: Any) -> None:
+Tell = Callable[[int, Any], None]
+"""Told after every millisecond: how many there were, and the robot."""
+_TOLD_EVERY = 4
+"""Milliseconds between two joint states."""
+_BEHIND = 0.5
+"""How far the simulation may be behind its clock before that stands still with it [s]."""
+_PRIORITY = 45
+"""Real-time priority of the simulation: a controller has a computer of its own."""
+
+
+@contextmanager
+def _broadcaster(namespace: str) -> Iterator[Tell]:
+    """Publishes joint states of an FR3 in a namespace, stamped by the simulation's time; of none where it is empty."""
+    if not namespace:
+        yield lambda k, robot: None
+        return
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    import rclpy
+    from sensor_msgs.msg import JointState
+
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("joint_state_broadcaster", context=context, namespace=namespace, enable_rosout=False,
+                             start_parameter_services=False)
+    publisher = node.create_publisher(JointState, "joint_states", 10)
+    names = [f"joint{i}" for i in range(1, 8)]
+
+    def tell(k: int, robot: Any) -> None:
+        if k % _TOLD_EVERY == 0:
+            state = robot.inner_state
+            message = JointState(name=names, position=list(state.q), velocity=list(state.dq), effort=list(state.tau_j))
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(k * 10**6, 10**9)
+            publisher.publish(message)
+
+    try:
+        yield tell
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _timed_milliseconds(server: Any, slowed: float, tell: Tell) -> None:
+    """Milliseconds of ``franky-sim`` by this computer's clock; its own loop sleeps each time, and so falls behind."""
+    (robot,) = server.robot_servers
+    due = time.perf_counter()
+    with undisturbed(priority=_PRIORITY):
+        for k in count(1):
+            server.run_once(realtime=False)
+            tell(k, robot.robot)
+            due += slowed * 1e-3
+            remaining = due - time.perf_counter()
+            if remaining > 0:
+                time.sleep(remaining)
+            elif remaining < -_BEHIND:
+                due = time.perf_counter()
+
+
+def _answered_milliseconds(server: Any, tell: Tell) -> None:
     """Milliseconds of ``franky-sim``, each of which begins when the one before was answered."""
     (robot,) = server.robot_servers
     handled, answers = robot._handle_udp_command, []
@@ -173,7 +244,7 @@ def _answered_milliseconds(server: Any) -> None:
         handled(data)
 
     robot._handle_udp_command = heard
-    while True:
+    for k in count(1):
         answers.clear()
         begun = time.perf_counter()
         # Without a motion nobody answers, and states go out as by the clock.
@@ -182,6 +253,7 @@ def _answered_milliseconds(server: Any) -> None:
             time.sleep(5e-5)
         server.sim.step()
         robot.send_state()
+        tell(k, robot.robot)
 
 
 def _serve_crx(slowed: str) -> None:

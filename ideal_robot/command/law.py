@@ -271,7 +271,7 @@ class CommandLaw:
         early = shape.filter.before(r, motion.dt, shape.time)[:, 0]
         row = np.clip((t + ahead) / motion.dt - first, 0.0, len(early) - 1.0)
         if len(row) == 1:
-            return np.asarray(_weights(len(early), round(float(row[0]), 6)) @ early)[None]
+            return np.asarray(_weights(len(early), float(row[0])) @ early)[None]
         return np.asarray(CubicSpline(np.arange(float(len(early))), early)(row))
 
     def commands(self, motion: Motion, rows: int, ahead: Array) -> Array:
@@ -324,10 +324,18 @@ class CommandLaw:
                    None if values["cascade"] is None else array(values["cascade"]), bool(values["leads"]))
 
 
-@lru_cache(maxsize=256)
 def _weights(count: int, row: float) -> Array:
     """Weights ``(count,)`` of rows in the cubic spline through them at a broken row."""
-    return np.asarray(CubicSpline(np.arange(float(count)), np.eye(count))(row))
+    i = min(int(row), count - 2)
+    a, b, c, d = _cubics(count)[:, i]
+    x = row - i
+    return np.asarray(((a * x + b) * x + c) * x + d)
+
+
+@lru_cache(maxsize=32)
+def _cubics(count: int) -> Array:
+    """Of the cubic spline through as many rows: coefficients of each stretch for each row ``(4, count - 1, count)``."""
+    return np.asarray(CubicSpline(np.arange(float(count)), np.eye(count)).c)
 
 
 def require_law(law: CommandLaw, n: int, file: Any = None) -> None:

@@ -259,8 +259,13 @@ class BestSet:
             if other.key != candidate.key and (other.joint == candidate.joint or (candidate.joint and
                                                channels <= set(self.system.groups[other.key].channels))):
                 squares += BESIDE**2 * self._squares_in(other.key, fitted.mean[places[other.key]], channels)
+        if self.problem.root is not None:
+            # The errors are in what parameters with a prior are estimated from, too.
+            level = 1.0 + squares
+            fitted = posterior(self.system.gram_of_all(keys) / level, self.system.full_precision(keys))
+            across, own, squares = across / level, own / level, squares / level
         taken = fitted.solve(across.T)
-        known = self.system.full_precision(keys) @ taken
+        known = (self.system.full_precision(keys) + np.diag(fitted.rounding)) @ taken
         root = _error_of(own - across @ taken, taken.T @ known, squares)
         return np.hstack([root, np.diag(self._nobody_cares(candidate.key))]) if matters else root
 
@@ -565,17 +570,27 @@ class BestSet:
             self._tests = DependenceTest(self.at_rows, self.regression.use, self.problem.blocks)
         return self._tests
 
-    @property
-    def total(self) -> float:
-        """Score of the best set, its prior included, by which sets beside other priors are compared."""
+    def total(self, others: Sequence[Candidate]) -> float:
+        """Score of the best set, its prior included, by which sets beside other priors of parameters are compared.
+
+        Args:
+            others: causes of the sets that it is compared with; those that it has not are beside it.
+        """
+        own, narrow = {c.place for c in self.choices}, {c.place: c for c in others}
         alone = evidence(self.system.gram_of_all(["W"]), self.system.precision)
-        return alone + self._beside([], self.choices, []) - sum(map(self.cost, self.choices))
+        return (alone + self._beside([], self.choices, [c for place, c in narrow.items() if place not in own])
+                - sum(map(self.cost, self.choices)))
 
     @property
     def noise(self) -> Sequence[ColouredNoise]:
         """Noise of each channel, with its level."""
         return self.fixed or [channel.noise.scaled(channel.weight**-0.5) if channel.weight else channel.noise
                               for channel in self.system.channels]
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Rows that the noise is that of ``(N, c)``: used, and no kicks."""
+        return np.column_stack([channel.use for channel in self.system.channels])
 
     def about(self, problem: Problem) -> BestSet:
         """A copy of the best set, with the noise that it has here, for the regression of another model.

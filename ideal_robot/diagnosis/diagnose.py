@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings, joints_share
 from ideal_robot.diagnosis.causes import Only
@@ -118,14 +120,17 @@ def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...
     """The model with the parameters of the joint fit and all effects, and warnings; None for torques in amperes."""
     if not case.shared:
         return None, ()
-    final = found.domains[0].final.of_model(len(parameter_vector(found.start.base_values, found.start.friction)))
+    torques, whole = found.domains[0].regression, found.domains[0].final
+    final = whole.of_model(len(parameter_vector(found.start.base_values, found.start.friction)))
     added = [effect for result in found.results
              for effect in (*(named.fitted for named in result.found), *result.small)]
     change, covariance = final.change.copy(), final.covariance.copy()
     # What stands at its limit has no scatter.
     index = list(found.fixed)
     covariance[index], covariance[:, index], change[index] = 0.0, 0.0, 0.0
-    model = with_parameters(found.start, change, covariance)
+    left, seen = rms(whole.residual(torques), torques.use), torques.use.any(axis=0)
+    model = replace(with_parameters(found.start, change, covariance),
+                    noise_std=np.where(seen, left, found.start.noise_std))
     warnings = tuple[str, ...]()
     try:
         known = Model.nominal(case.robot) if case.given is None else case.given

@@ -12,7 +12,7 @@ it pays for its parameters by their prior, and a load of one number beats forty 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,13 +141,11 @@ class Known:
     Attributes:
         regression: with what differs by the day as further parameters.
         differs: what that is.
-        noise: of each torque.
         pushed: whether what a force sensor at the tool shows acts along (1), against its readings (-1), or not at all.
     """
 
     regression: Regression
     differs: list[Spread]
-    noise: tuple[ColouredNoise, ...]
     pushed: int = 0
 
 
@@ -160,10 +158,10 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
         recording: whose regression it is; a force sensor in it says what pushes the tool.
         pushed: see ``Known``; found in the recording if None.
     """
-    differs, noise = spreads(model, robot, regression), noise_of(model, regression)
+    differs = spreads(model, robot, regression)
     push = _pushed(recording, robot, regression)
     if push is None:
-        return Known(replace(regression, W=_with_spreads(regression, differs)), differs, noise)
+        return Known(replace(regression, W=_with_spreads(regression, differs)), differs)
     felt, zero = push
     differs += [Spread(along, FORCE_ZERO, 0.0) for along in zero]
     anyway = [*differs, Spread(felt, 1.0, 0.0)]
@@ -172,10 +170,10 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
         # Which way the sensor counts no recording says in words.
         root = _root_of_day(model, anyway)
         system = System(regression.y, W, regression.use, root)
-        system.take_noise(noise)
+        system.take_noise(noise_of(model, _floor(regression), regression.step))
         pushed = 1 if (root @ system.posterior(["W"]).mean)[-1] > 0.0 else -1
     y = regression.y - pushed * W[:, :, -1]
-    return Known(replace(regression, y=y, W=W), [*differs, Spread(felt, FORCE_GAIN, 0.0)], noise, pushed)
+    return Known(replace(regression, y=y, W=W), [*differs, Spread(felt, FORCE_GAIN, 0.0)], pushed)
 
 
 def _pushed(recording: Recording, robot: Robot, regression: Regression) -> tuple[Array, list[Array]] | None:
@@ -251,15 +249,23 @@ def _of_type(model: Model) -> Array:
     return result
 
 
-def noise_of(model: Model, regression: Regression) -> tuple[ColouredNoise, ...]:
-    """Noise of each torque as the model has it: what is measured, and what its class leaves, which has a memory.
+def noise_of(model: Model, measured: Sequence[ColouredNoise], step: float) -> tuple[ColouredNoise, ...]:
+    """Noise of each torque about a model: what is measured, and what its class leaves, which has a memory.
 
     Args:
         model: whose ``noise_std`` is what it left where it was identified.
-        regression: of the motor torques about it.
+        measured: noise of the recording itself.
+        step: from one row to the next [s].
     """
-    left = MISFIT * np.asarray(model.noise_std)
-    return _with_memory(np.maximum(regression.noise_floor, 1e-3 * left), left, MEMORY, regression.step)
+    following = np.exp(-np.arange(_ORDER + 1) * step / MEMORY)
+    return tuple(ColouredNoise.of_autocovariance(own.autocovariance(_ORDER) + (MISFIT * left) ** 2 * following)
+                 for own, left in zip(measured, np.asarray(model.noise_std).tolist(), strict=True))
+
+
+def _floor(regression: Regression) -> list[ColouredNoise]:
+    """White noise as large as the floor of each torque."""
+    return [ColouredNoise.of_autocovariance(np.array([max(floor**2, 1e-30), *np.zeros(_ORDER)]))
+            for floor in regression.noise_floor.tolist()]
 
 
 def _with_memory(white: Array, slow: Array, memory: float, step: float) -> tuple[ColouredNoise, ...]:

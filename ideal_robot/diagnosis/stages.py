@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import Regression, without_known
-from ideal_robot.diagnosis.prior import hypotheses, known, positions_known
+from ideal_robot.diagnosis.prior import hypotheses, known, noise_of, positions_known
 from ideal_robot.diagnosis.report import DomainDiagnosis
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
 from ideal_robot.diagnosis.statistics.problem import Problem, with_parameters
@@ -25,7 +25,6 @@ from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION
 from ideal_robot.effects.backlash import Backlash
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
-from ideal_robot.estimate.noise import ColouredNoise
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
 
@@ -74,18 +73,19 @@ def _searched(case: Case, found: Findings, start: Sequence[Candidate]) -> Findin
         return replace(found, best=best)
     about = known(case.given, case.robot, found.problem.regression, case.recording)
     found, sets = replace(found, problem=found.problem.with_regression(about.regression), pushed=about.pushed), []
-    noise: Sequence[ColouredNoise] = about.noise
-    if not np.all(np.asarray(case.given.noise_std) > 0.0):
-        # A model that does not say what it left: what nothing smooth explains beside any arm of the type.
-        widest = max(hypotheses(case.given, about.differs), key=lambda h: float(np.sum(h.root**2)))
-        noise = BestSet(found.problem.with_root(widest.root), [], absorbed=True).noise
+    # What nothing smooth explains beside any arm of the type is noise; kicks are none.
+    widest = max(hypotheses(case.given, about.differs), key=lambda h: float(np.sum(h.root**2)))
+    beside = BestSet(found.problem.with_root(widest.root), [], absorbed=True)
+    noise = noise_of(case.given, beside.noise, about.regression.step)
+    found = replace(found, problem=found.problem.with_regression(replace(about.regression, use=beside.rows)))
     for hypothesis in hypotheses(case.given, about.differs):
         best = BestSet(found.problem.with_root(hypothesis.root), effects, absorbed=True, only=case.only,
                        noise=noise, progress=case.progress)
         best.run(start)
-        sets.append((best.total + hypothesis.logarithm, hypothesis.name, best))
-    _, name, best = max(sets, key=lambda s: s[0])
-    return replace(found, best=best, taken_for=name, problem=best.problem)
+        sets.append((hypothesis, best))
+    every = [choice for _, best in sets for choice in best.choices]
+    hypothesis, best = max(sets, key=lambda s: s[0].logarithm + s[1].total(every))
+    return replace(found, best=best, taken_for=hypothesis.name, problem=best.problem)
 
 
 def _finished(case: Case, found: Findings) -> Findings:

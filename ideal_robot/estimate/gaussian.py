@@ -18,7 +18,7 @@ from scipy import linalg
 
 from ideal_robot.arrays import Array
 
-ROUNDING = 1e-9
+ROUNDING = 1e-12
 """Share of a column's own squares that is added to them: what lies below is rounding of double precision's products."""
 
 
@@ -39,6 +39,11 @@ class Posterior:
     scale: Array
     squares: float
     logarithm: float
+
+    @property
+    def rounding(self) -> Array:
+        """What rounding adds to the diagonal of the precision ``(P,)``."""
+        return np.asarray(ROUNDING / self.scale**2)
 
     @cached_property
     def covariance(self) -> Array:

@@ -85,6 +85,15 @@ class ColouredNoise:
         """How many rows count for one in a slow mean: the spectrum at zero over the variance of white noise."""
         return float(self.variance[-1] / self.variance[0] / max(1.0 - self.predictors[-1].sum(), 1e-3) ** 2)
 
+    def autocovariance(self, lags: int) -> Array:
+        """Autocovariance ``(lags + 1,)`` of what this is the noise of, in the square of its unit (Yule and Walker)."""
+        result = np.zeros(lags + 1)
+        result[0] = self.variance[0]
+        for k in range(1, lags + 1):
+            order = min(k, self.order)
+            result[k] = self.predictors[order, :order] @ result[k - 1 :: -1][:order]
+        return result
+
     def scaled(self, factor: float) -> ColouredNoise:
         """The same colour with another standard deviation, ``factor`` times as large."""
         return ColouredNoise(self.predictors, self.variance * factor**2)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.estimate.gaussian import ROUNDING
+from ideal_robot.estimate.gaussian import ROUNDING, posterior
 
 TOLD = 2.0
 """Standard deviations from which on two things are distinguished: 95 % of a normal distribution."""
@@ -30,15 +30,9 @@ def evidence(products: Array, precision: Array) -> float:
         precision: of the parameters beforehand, about zero ``(P, P)``; a direction of which nothing is known adds
             nothing, so that sets with the same such directions can be compared.
     """
-    P = len(products) - 1
-    if P == 0:
-        return float(-0.5 * products[-1, -1])
-    A = products[:P, :P] + precision
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
-    root = np.linalg.cholesky(A * np.outer(scale, scale) + 10.0 * ROUNDING * np.eye(P))
-    along = np.linalg.solve(root, scale * products[:P, P])
-    logarithm = np.log(np.diag(root)).sum() - np.log(scale).sum()
-    return float(-0.5 * (products[P, P] - along @ along) - logarithm + 0.5 * _log_determinant(precision))
+    fitted, b = posterior(products, precision), products[:-1, -1]
+    left = products[-1, -1] - b @ fitted.mean
+    return float(-0.5 * (left + fitted.logarithm - _log_determinant(precision)))
 
 
 def _log_determinant(precision: Array) -> float:

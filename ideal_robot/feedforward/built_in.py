@@ -66,9 +66,7 @@ BY_LAW = ("none", "ideal", "precorrected", "adapted")
 def by_law(setting: Setting) -> CommandInverse | None:
     """The inverse by the command's law, where the model has one that predicts commands better than [G]'s loop."""
     model = setting.identified()
-    if model.command is None or not (model.command.leads or model.controller is None):
-        return None
-    return CommandInverse(model, setting.robot, delay=setting.delay)
+    return CommandInverse(model, setting.robot, delay=setting.delay) if model.by_law else None
 
 
 def _ideal_robot(setting: Setting) -> Feedforward:

@@ -10,7 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array, eased, held
 from ideal_robot.command.law import CommandLaw
 from ideal_robot.command.motion import Bodies, Motion
-from ideal_robot.command.response import uncorrected
+from ideal_robot.command.response import REST, position_response, uncorrected
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.model import Model
@@ -213,6 +213,17 @@ class CommandInverse(Feedforward):
     def uncorrected(self, q_d: Array) -> Array:
         """Error ``(N, n)`` [rad] that the path itself leaves when it is commanded: ``q_d - q``."""
         return uncorrected(self._required, q_d, self.t_ipo, self.law.still)
+
+    def response(self, q: Array, length: int) -> Array:
+        """Impulse response ``(length, n)`` of each joint's position to its own commands at the cycles.
+
+        Args:
+            q: posture about which the joints move ``(n,)`` [rad].
+            length: rows; row ``l`` is the answer ``l`` cycles after the command.
+        """
+        rows, speed = 2 * max(round(REST / self.t_ipo), length), 10.0 * self.law.still
+        return np.asarray(np.fft.irfft(position_response(self._required, q, speed, self.t_ipo, rows), rows, axis=0)
+                          [:length])
 
     def _required(self, q: Array) -> Array:
         """Commands ``(N, n)`` [rad] with which the arm makes this motion, whatever it rests with at the start."""

@@ -26,7 +26,7 @@ from ideal_robot.friction.laws import ViscousCoulomb
 from ideal_robot.model.cascade import Cascade, helped
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import urdf_with_inertials
-from ideal_robot.model.parametrisation import coefficient_columns, friction_places
+from ideal_robot.model.parametrisation import coefficient_columns, friction_places, parameter_vector
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.whole_file import write_text
@@ -39,6 +39,8 @@ SLOW, FAST = 0.05, 1.0
 """Speeds between which a friction law is brought to MuJoCo's two terms, relative to the joint's limit …"""
 USUAL_SPEED = 2.0
 """… or to this where it has none [rad/s or m/s]."""
+DIGITS = 1e-6
+"""To which numbers of an MJCF are right, relative to one and their size: people write six digits."""
 TURNS = 2.0 * np.pi
 """Limit of a joint that has none [rad]."""
 
@@ -432,9 +434,10 @@ def arm_of_mjcf(path: str | Path) -> MujocoArm:
     full = np.concatenate([link_parameters(robot.pinocchio), armature, np.zeros(robot.n)])
     base = base_parameters(robot.pinocchio)
     friction = PerJointFriction([ViscousCoulomb(np.array([[v], [c]])) for v, c in zip(damping, loss, strict=True)])
-    count = base.count + sum(len(law.coefficients) + len(law.shape) for law in friction.laws)
-    model = Model(nominal.arm, base, base.of(full), friction,
-                  np.zeros((count, count)), full, np.zeros(robot.n),
+    values = base.of(full)
+    # Numbers are as they are written: known, but for rounding.
+    covariance = np.diag((DIGITS * (1.0 + np.abs(parameter_vector(values, friction)))) ** 2)
+    model = Model(nominal.arm, base, values, friction, covariance, full, np.zeros(robot.n),
                   provenance={"method": "MuJoCo model", "file": str(path)})
     springs = [j + 1 for j, joint in enumerate(chain) if np.any(np.atleast_1d(compiled.jnt_stiffness[joint]) != 0.0)]
     held = [compiled.joint(j).name or str(j) for j in range(compiled.njnt) if j not in chain]
@@ -498,7 +501,25 @@ def _urdf(library: Any, compiled: Any, chain: list[int], name: str) -> str:
         ET.SubElement(element, "limit", {"lower": f"{low:.12g}", "upper": f"{high:.12g}", "effort": f"{effort:.12g}",
                                          "velocity": "0"})
         before, parent = frame, f"link_{index + 1}"
+    ET.SubElement(root, "link", {"name": "tool"})
+    element = ET.SubElement(root, "joint", {"name": "tool_joint", "type": "fixed"})
+    ET.SubElement(element, "parent", {"link": parent})
+    ET.SubElement(element, "child", {"link": "tool"})
+    ET.SubElement(element, "origin", _placed(before.inverse() * _tool(compiled, data, bodies[-1], before)))
     return ET.tostring(root, encoding="unicode")
+
+
+def _tool(compiled: Any, data: Any, bodies: list[int], last: pin.SE3) -> pin.SE3:
+    """Where tools are held: the site that is farthest from the last joint, or else the body, turned as the joint is.
+
+    Args:
+        compiled, data: the model, and its state.
+        bodies: that move with the last joint.
+        last: the joint's frame.
+    """
+    sites = [data.site_xpos[site] for site in range(compiled.nsite) if int(compiled.site_bodyid[site]) in bodies]
+    places = sites or [data.xpos[body] for body in bodies]
+    return pin.SE3(last.rotation, max(places, key=lambda place: float(np.linalg.norm(place - last.translation))))
 
 
 def _inertial(compiled: Any, data: Any, bodies: list[int], frame: pin.SE3) -> ET.Element:

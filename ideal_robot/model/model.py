@@ -99,6 +99,11 @@ class Model(Summarised):
         return self.consistent[10 * self.n : 11 * self.n]
 
     @property
+    def by_law(self) -> bool:
+        """Whether the command's law says how the arm answers its commands: it predicts them better than [G]'s loop."""
+        return self.command is not None and (self.command.leads or self.controller is None)
+
+    @property
     def known_stiffness(self) -> Array | None:
         """Stiffness of the gears, rigid where nobody knows it ``(n,)`` [N m/rad], or None."""
         return None if self.gears is None else self.gears.rigid_if_unknown

@@ -21,8 +21,9 @@ from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.ros2.node import Node, Ros2Error, full_name, seconds
+from ideal_robot.ros2.states import KIND, STATES, JointStates, discovered
 
-STATES, COMMANDS = "joint_states", "forward_position_controller/commands"
+COMMANDS = "forward_position_controller/commands"
 HORIZON = 0.1
 """How far a trajectory reaches ahead [s]: longer than a network or a computer usually stands still."""
 _SETTLED = 8
@@ -65,8 +66,7 @@ class Ros2Robot(LinkedRobot):
         self._names, self._order = names, [names.index(name) for name in joints or names]
         self._timeout, self._sim_time, self._subnet = timeout, sim_time, subnet
         self._node: Node | None = None
-        self._newest: Any = None
-        self._places: tuple[tuple[str, ...], list[int]] = ((), [])
+        self._joint_states: JointStates | None = None
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits up to ``patience`` [s] for joint states and a listener to commands, and looks whether all matches.
@@ -77,7 +77,6 @@ class Ros2Robot(LinkedRobot):
             Ros2Error: nobody publishes or listens, another publisher commands the arm, joints are missing, quality of
                 service does not match, stamps stand still or come at another cycle, angles are degrees.
         """
-        from sensor_msgs.msg import JointState
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -87,8 +86,8 @@ class Ros2Robot(LinkedRobot):
                       else (Float64MultiArray, "std_msgs/msg/Float64MultiArray"))
         self._message, self._point = kind, JointTrajectoryPoint
         self._publisher = node.publisher(kind, self.commands)
-        node.newest_only(JointState, self.states, self._take)
-        node.require_publisher("sensor_msgs/msg/JointState", self.states, deadline)
+        self._joint_states = joint_states = JointStates(node, self.states, self.robot, self.counts)
+        node.require_publisher(KIND, self.states, deadline)
         node.require_alone(name, self.commands, deadline)
         self._looked = time.perf_counter()
         # Who has made its publisher may publish later.
@@ -98,8 +97,8 @@ class Ros2Robot(LinkedRobot):
         self._check_cycle(np.diff(stamps))
         state = self._next(self._timeout)
         self._begun = self._last = self._stamp(state)
-        stands = np.array(state.position)[self._indices(state)]
-        self._require_radians(stands)
+        stands = joint_states.positions(state)
+        joint_states.require_radians(state)
         self._at_rest(stands, stands)
         return self._state(state)
 
@@ -127,33 +126,11 @@ class Ros2Robot(LinkedRobot):
             self._node.close()
             self._node = None
 
-    def _take(self, message: Any) -> None:
-        """A joint state has arrived; those of a gripper alone, or older ones, are passed over."""
-        if not set(self._names) <= set(message.name):
-            self.counts.partial += 1
-        elif self._newest is not None and self._stamp(message) <= self._stamp(self._newest):
-            self.counts.outdated += 1
-        else:
-            self.arrived, self._newest, self._fresh = time.perf_counter(), message, True
-
     def _next(self, timeout: float) -> Any:
         """The next joint state, or the newest where several wait; raises Ros2Error where none comes in time [s]."""
-        assert self._node is not None
-        deadline, outdated, partial = Deadline.within(timeout), self.counts.outdated, self.counts.partial
-        self._fresh = False
-        while not self._fresh:
-            self._node.spin(min(deadline.left, 0.1))
-            if deadline.passed and not self._fresh:
-                if self.counts.outdated > outdated:
-                    raise Ros2Error(f"stamps of {self.states} stand still or go back; is the simulation paused, or was "
-                                    "its time set anew?")
-                if self.counts.partial > partial:
-                    raise Ros2Error(f"{self.states} has not all joints of {self.robot.name}: {', '.join(self._names)}")
-                if self._node.ros.count_publishers(self.states) == 0:
-                    raise Ros2Error(f"the publisher of {self.states} is gone")
-                raise Ros2Error(f"no message on {self.states} for {timeout:g} s")
-        self._node.drain()
-        return self._newest
+        assert self._joint_states is not None
+        message, self.arrived = self._joint_states.next(timeout)[-1]
+        return message
 
     @staticmethod
     def _stamp(message: Any) -> float:
@@ -165,16 +142,6 @@ class Ros2Robot(LinkedRobot):
         if not 0.75 < usual / self.t_ipo < 1.35:
             raise Ros2Error(f"{self.states} comes every {1e3 * usual:.3g} ms, {1e3 * self.t_ipo:g} ms are expected; "
                             f"--cycle {max(round(usual, 3), 1e-3):g}")
-
-    def _require_radians(self, q: Array) -> None:
-        """Raises Ros2Error where angles can only be degrees."""
-        turning = ~self.robot.prismatic
-        beyond = turning & ((q < self.robot.q_min - 0.1) | (q > self.robot.q_max + 0.1))
-        if beyond.any():
-            j, in_radians = int(np.argmax(beyond)), np.radians(q)
-            fits = ((in_radians >= self.robot.q_min) & (in_radians <= self.robot.q_max))[turning].all()
-            raise Ros2Error(f"{self._names[j]} is at {q[j]:.4g} on {self.states}, beyond its limits"
-                            + ("; positions have to be radians, these look like degrees" if fits else ""))
 
     def _check_others(self) -> None:
         """Notes where another publisher has begun to command the arm."""
@@ -204,17 +171,11 @@ class Ros2Robot(LinkedRobot):
             message.points.append(point)
         return message
 
-    def _indices(self, message: Any) -> list[int]:
-        """Where the arm's joints stand in a message."""
-        names = tuple(message.name)
-        if names != self._places[0]:
-            self._places = names, [names.index(name) for name in self._names]
-        return self._places[1]
-
     def _state(self, message: Any) -> RobotState:
         """Torque is the effort, NaN where the message has none."""
-        at = self._indices(message)
-        measured = self._looked_at(np.array(message.position)[at])
+        assert self._joint_states is not None
+        at = self._joint_states.indices(message)
+        measured = self._looked_at(self._joint_states.positions(message))
         whole = len(message.name)
         effort, speed = (np.array(values)[at] if len(values) == whole else np.full(self.robot.n, np.nan)
                          for values in (message.effort, message.velocity))
@@ -231,12 +192,9 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> Ros2Robot:
     options = address.options
     if "commands" in options and "trajectory" in options:
         raise InputError("expected either commands or trajectory", field=address.option, value=address.text[:80])
-    discovery = options.get("discovery", "localhost")
-    if discovery not in ("localhost", "subnet"):
-        raise InputError("expected localhost or subnet", field=f"{address.option} ?discovery", value=discovery[:40])
     namespace = address.host + address.path
     return Ros2Robot(
         robot, full_name(namespace, options.get("states", STATES)),
         full_name(namespace, options.get("trajectory") or options.get("commands") or COMMANDS),
         trajectory="trajectory" in options, joints=tuple(filter(None, options.get("joints", "").split(","))),
-        sim_time=bool(address.number("sim_time", 0, 0, 1)), subnet=discovery == "subnet", **settings.given())
+        **discovered(address), **settings.given())

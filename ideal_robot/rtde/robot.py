@@ -25,7 +25,7 @@ _OUTPUTS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "target_q": "VECTOR6D
 _OPTIONAL = {"speed_scaling": "DOUBLE", "target_speed_fraction": "DOUBLE", "payload": "DOUBLE",
              "payload_cog": "VECTOR3D", "actual_tool_accelerometer": "VECTOR3D"}
 """What is read where the controller knows it."""
-_AXES = 6  # a VECTOR6D has
+AXES = 6  # a VECTOR6D has
 _MANY = 2.0**31  # cycles between two packages at most: a time stamp may be anything
 _LARGEST = 1e9
 """No number is as large, in seconds, radians or ampere."""
@@ -76,15 +76,15 @@ class RtdeRobot(LinkedRobot):
 
     def __init__(self, robot: Robot, host: str = "127.0.0.1", *, port: int = 30004, register: int = 24,
                  timeout: float = 1.0, bridge: float = 0.1, answers_within: float = 0.5) -> None:
-        if robot.n != _AXES:
-            raise InputError(f"RTDE moves arms with {_AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
-        if not 0 <= register <= 48 - _AXES:
-            raise InputError(f"expected 0 to {48 - _AXES}", field="register", value=register)
+        if robot.n != AXES:
+            raise InputError(f"RTDE moves arms with {AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
+        if not 0 <= register <= 48 - AXES:
+            raise InputError(f"expected 0 to {48 - AXES}", field="register", value=register)
         super().__init__(robot, bridge, answers_within)
         self.host, self.port = host, port
         self.version: tuple[int, int, int, int] | None = None
         self.payload, self.gravity = np.full(4, np.nan), np.full(3, np.nan)
-        self._inputs = {**{f"input_double_register_{register + i}": "DOUBLE" for i in range(_AXES)},
+        self._inputs = {**{f"input_double_register_{register + i}": "DOUBLE" for i in range(AXES)},
                         f"input_int_register_{register}": "INT32"}
         self._timeout = timeout
         self._connection: RtdeConnection | None = None
@@ -176,7 +176,7 @@ class RtdeRobot(LinkedRobot):
         places = model.createData()
         pin.forwardKinematics(model, places, np.array(data["actual_q"]))
         # The last joint's frame is the flange's in UR's own URDFs, whatever tool is behind it.
-        self.gravity = np.asarray(places.oMi[_AXES].rotation @ felt / np.linalg.norm(felt))
+        self.gravity = np.asarray(places.oMi[AXES].rotation @ felt / np.linalg.norm(felt))
         expected = np.array(model.gravity.linear)
         angle = float(np.arccos(np.clip(np.abs(self.gravity @ expected) / np.linalg.norm(expected), 0.0, 1.0)))
         if angle > _TILTED:

@@ -214,13 +214,36 @@ class RtdeConnection:
 
         Raises RtdeError for silence, a broken connection, a package that does not fit.
         """
-        kind, payload = 0, b""
-        while kind != Kind.DATA:
-            kind, payload = self._package(deadline)
+        payloads, arrived = self._data(deadline)
+        return recipe.unpacked(payloads[-1]), arrived
+
+    def every(self, recipe: Recipe, deadline: Deadline, quiet: bool = False) -> list[tuple[Values, float]]:
+        """All data packages that are there, each with the time when it was read, waited for if there is none.
+
+        Args:
+            recipe: of the packages.
+            deadline: until when one is waited for.
+            quiet: whether silence gives none, instead of an error.
+
+        Raises:
+            RtdeError: silence, a broken connection, a package that does not fit.
+        """
+        payloads, arrived = self._data(deadline, quiet)
+        return [(recipe.unpacked(payload), arrived) for payload in payloads]
+
+    def _data(self, deadline: Deadline, quiet: bool = False) -> tuple[list[bytes], float]:
+        """Payloads of the data packages that are there, and when the first of them was read."""
+        payloads: list[bytes] = []
+        while not payloads:
+            received = self._next(max(deadline.left, 0.0)) if quiet else self._package(deadline)
+            if received is not None and received[0] == Kind.DATA:
+                payloads.append(received[1])
+            elif received is None and deadline.passed:
+                return [], time.perf_counter()
         arrived = time.perf_counter()
         while not deadline.passed and (later := self._waiting()) is not None:
-            payload = later[1] if later[0] == Kind.DATA else payload
-        return recipe.unpacked(payload), arrived
+            payloads += [later[1]] if later[0] == Kind.DATA else []
+        return payloads, arrived
 
     def close(self) -> None:
         """Ends the connection."""

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from scenes.online.devices import Devices
     from scenes.played_path import PlaySettings
     from scenes.serve.cell import Places
+    from scenes.serve.elsewhere import CameraPlaces
     from sim.devices.stream_server import Unkindness
 
 
@@ -207,6 +208,13 @@ class SimulateOptions:
     scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).",
                                          callback=scenes_there)]
     serve: Annotated[bool, typer.Option("--serve", help="Play the cell in real time behind its devices.")] = False
+    camera_of: Annotated[str | None, typer.Option(help="Instead of --serve: send what the scene's camera would see on "
+                                                  "an arm that is somewhere else and whose states are read at this "
+                                                  "address, ros2://namespace or rtde://host.")] = None
+    topic: Annotated[str | None, typer.Option(help="With --camera-of: publish the pictures on this topic of ROS 2, "
+                                              "too, e.g. /camera/image_raw, and camera_info beside it.")] = None
+    wait: Annotated[float, typer.Option(help="With --camera-of: how long the arm's states are waited for [s].", min=0.1,
+                                        max=86_400.0)] = 10.0
     arm: Annotated[str, typer.Option(help="rsi://host:port or egm://host:port where the follower listens for the "
                                      "controller, rtde://127.0.0.1:port where this controller listens, or "
                                      "ros2://namespace.")
@@ -245,6 +253,21 @@ class SimulateOptions:
         return Places(at, self.host, self.camera_port, self.force_port, self.relative, place.scheme,
                       place.host + place.path)
 
+    def camera_places(self, arm: str) -> CameraPlaces:
+        """Where the arm is read and where its pictures go; InputError for a topic that cannot be published."""
+        from ideal_robot.interfaces import INTERFACES
+        from scenes.serve.elsewhere import CameraPlaces
+
+        if self.serve:
+            raise InputError("give either --serve or --camera-of: a served cell has its camera", field="--camera-of",
+                             value=arm[:80])
+        if self.topic is not None:
+            INTERFACES.get("ros2").require("--topic")
+            if not self.topic.startswith("/") or len(self.topic) < 2:
+                raise InputError("expected a topic's full name such as /camera/image_raw", field="--topic",
+                                 value=self.topic[:80])
+        return CameraPlaces(arm, self.wait, (self.host, self.camera_port), self.topic)
+
     def unkindness(self) -> Unkindness:
         """What becomes of the devices' packets."""
         from sim.devices.stream_server import Unkindness
@@ -259,17 +282,27 @@ def simulate(options: SimulateOptions) -> None:
     The arm waits at the start of the scene's path until a follower answers. When the answers stop it is braked, rests,
     and goes back to the start for the next one. Exit code 0 after Ctrl-C or the last session.
 
+    With `--camera-of` there is no arm here: its states are read where it is, an arm that others simulate or a real one,
+    and the camera's pictures of the scene are sent, as a stream and on a topic of ROS 2. Ctrl-C ends it; what the line
+    was left by is said then, as far as the reported joints tell it.
+
     Example: `ideal-robot simulate line --serve` and, in another terminal,
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
     from scenes.scene_files.scene import chosen
     from scenes.serve.cell import serve_scene
 
-    if not options.serve:
+    if not options.serve and options.camera_of is None:
         raise InputError("simulate plays the cell behind devices: give --serve (to play a scene in one process, use "
-                         "run)", field="--serve")
+                         "run), or --camera-of ADDRESS for an arm that is somewhere else", field="--serve")
     check_outputs(json=options.json)
     loaded = chosen(load_scene(options.scene), seed=options.seed)
+    if options.camera_of is not None:
+        from scenes.serve.elsewhere import serve_camera
+
+        serve_camera(loaded, options.camera_places(options.camera_of), options.unkindness(), options.json,
+                     options.cycle, lambda text: typer.echo(text, err=True))
+        return
     if options.cycle is not None:
         loaded = loaded.changed(world={"t_ipo": options.cycle})
     serve_scene(loaded, options.places(), options.unkindness(), options.sessions, options.json,

@@ -26,11 +26,12 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 @dataclass(frozen=True)
 class Header:
-    """A picture has come: when it was taken and read, by this computer's clock [s]."""
+    """A picture has come: when it was taken and read, by this computer's clock, and its stamp by the camera's [s]."""
 
     number: int
     taken: float
     read: float
+    stamp: float
 
 
 _ASKED = 3

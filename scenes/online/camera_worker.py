@@ -96,7 +96,8 @@ class _Worker:
                     self._send("clock", source.clock.report().to_dict())
                 if frame is not None:
                     self._frames.append(frame)
-                    self._send("header", Header(frame.number, source.clock.host(frame.stamp), frame.arrived))
+                    self._send("header", Header(frame.number, source.clock.host(frame.stamp), frame.arrived,
+                                                frame.stamp))
         except Exception as error:  # whatever a camera's library raises: who leads the arm has to know
             # Who leads it may be gone.
             with suppress(OSError):

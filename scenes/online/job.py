@@ -15,7 +15,6 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.execution.following import Following
-from ideal_robot.loop.from_model import loop_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import TOLERANCE, RobotState
 from ideal_robot.robots.robot import Robot
@@ -260,8 +259,8 @@ class Job:
     def _watch_following(self, arm: LiveArm) -> None:
         """Has the guard check from now on whether the arm follows its commands."""
         def loaded() -> Following:
-            loop = loop_model(self.model, self.robot, delay=self.delay)
-            return Following(lambda: arm.link.commanded, self.robot, response_of(loop, self.robot),
+            response = response_of(self.model, self.robot, self.delay)
+            return Following(lambda: arm.link.commanded, self.robot, response,
                              tolerance=getattr(arm.link, "tolerance", None) or TOLERANCE,
                              cause=getattr(arm.link, "cause", None))
 

@@ -19,8 +19,10 @@ from ideal_robot.arrays import Array, eased_way
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.following import ANSWERS
 from ideal_robot.execution.guard import Guard, StoppedError, accelerations
+from ideal_robot.feedforward.command_inverse import CommandInverse
+from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop import Loop
+from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
@@ -381,12 +383,21 @@ def at_cycle(arm: Robot, cycle: float) -> Robot:
     return replace(arm, t_ipo=cycle, t_position=grid * position, t_velocity=grid * velocity)
 
 
-def response_of(loop: Loop, arm: Robot) -> Array:
-    """Impulse response ``(L, n)`` of the identified loop of each joint, of commands that come at the cycles."""
-    return np.asarray(LinearLoop.of(loop, arm.home, length=math.ceil(ANSWERS / arm.t_ipo)).g)
+def response_of(model: Model, arm: Robot, delay: int = 0) -> Array:
+    """Impulse response ``(L, n)`` of each joint behind its identified controller, of commands that come at the cycles.
+
+    Args:
+        model: with a command's law or a controller.
+        arm: cycle.
+        delay: cycles between hand-over of a command and the start of its interpolation.
+    """
+    length = math.ceil(ANSWERS / arm.t_ipo)
+    if model.by_law:
+        return CommandInverse(model, arm, delay=delay).response(arm.home, length)
+    return np.asarray(LinearLoop.of(loop_model(model, arm, delay=delay), arm.home, length=length).g)
 
 
-def answers_within(loop: Loop, arm: Robot) -> float:
-    """Time in which the identified loop answers a command to 97 %, and half of it more [s]."""
-    open_until = (np.abs(np.cumsum(response_of(loop, arm), axis=0) - 1.0) > 0.03).any(axis=1)
-    return float(1.5 * arm.t_ipo * (2 + np.flatnonzero(open_until)[-1]))
+def answers_within(response: Array, t_ipo: float) -> float:
+    """Time in which a response ``(L, n)`` has come to 97 % of a command, and half of it more [s]; cycle in [s]."""
+    open_until = (np.abs(np.cumsum(response, axis=0) - 1.0) > 0.03).any(axis=1)
+    return float(1.5 * t_ipo * (2 + np.flatnonzero(open_until)[-1]))

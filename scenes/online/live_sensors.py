@@ -177,7 +177,8 @@ class LiveCamera:
         elif t > self._arm.t + AHEAD:
             self.early += 1
         else:
-            self.signs.stamped(header.taken, header.read)
+            # As the camera stamped it: what is known of its clock becomes better, which is no wandering of stamps.
+            self.signs.stamped(header.stamp, header.read)
             self._stop_at_fault()
             self._process.ask(header.number, t, self.predict(t), self.detection)
 

@@ -17,7 +17,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.registry import feedforward
-from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of, model_at
@@ -29,7 +28,7 @@ from scenes.online.cycle import CycleSettings, holding_share, play_cycles
 from scenes.online.devices import Devices, opened_arm
 from scenes.online.job import Job
 from scenes.online.journal import Journal, Later, owned, remove, rescued, written
-from scenes.online.live_arm import LiveArm, answers_within, at_cycle
+from scenes.online.live_arm import LiveArm, answers_within, at_cycle, response_of
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.online.processes import (
     give_back,
@@ -132,8 +131,7 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
     if devices.cycle is not None:
         robot = at_cycle(robot, devices.cycle)
     model = model_at(scene.model, robot, scene.source)
-    loop = loop_model(model, robot, delay=int(devices.delay))
-    within = answers_within(loop, robot)
+    within = answers_within(response_of(model, robot, int(devices.delay)), robot.t_ipo)
     if not isinstance(scene, LineScene | ForceScene):
         raise InputError("expected a scene of kind line or force: devices follow no other", field="kind",
                          value=scene.kind)

@@ -117,7 +117,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
     """
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
-    arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
+    arm, law, identified, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
     given = read_path(path, arm)
     _, q_d, warnings = path_at_cycles(given.t, given.q_d, arm, rest=rest, file=str(path), column=given.column)
     warnings = (*given.warnings, *warnings)
@@ -125,19 +125,21 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
     form = link_options.get("form")
     if form is not None and form.pose:
         require_led(q_d, arm, relative=link_options.get("relative", False), file=str(path))
-    if loop is not None:
-        link_options.setdefault("answers_within", answers_within(loop, arm))
-        if cycle is not None:
-            _require_better(law, loop, q_d, file)
-    meta = {"method": method, "model": None if loop is None else str(file), "path": str(path)}
+    response = None
+    if identified is not None:
+        response = response_of(identified, arm, int(delay))
+        link_options.setdefault("answers_within", answers_within(response, arm.t_ipo))
+        if cycle is not None and not identified.by_law:
+            _require_better(law, loop_model(identified, arm, delay=int(delay)), q_d, file)
+    meta = {"method": method, "model": None if identified is None else str(file), "path": str(path)}
     with RsiRobot(arm, **link_options) as link:
         yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta, warnings,
-                        response=None if loop is None else response_of(loop, arm))
+                        response=response)
 
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
-             cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, Loop | None, Path]:
-    """Arm, feedforward and identified loop at one cycle, and the file of the model.
+             cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, Model | None, Path]:
+    """Arm at one cycle, feedforward, identified model where the method needs one, and its file.
 
     Args:
         robot: shipped robot or URDF; None for the one the model names.
@@ -155,7 +157,7 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
         arm = at_cycle(arm, cycle)
     identified = None if described(method).needs == Needs.NOTHING else Model.load(file)
     law = feedforward(method, identified, arm, delay=int(delay))
-    return arm, law, None if identified is None else loop_model(identified, arm, delay=int(delay)), file
+    return arm, law, identified, file
 
 
 def _require_better(law: Feedforward, loop: Loop, q_d: Array, file: Path) -> None:

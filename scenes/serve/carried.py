@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
@@ -14,12 +14,14 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import BAD_ADDRESS
+from ideal_robot.errors import BAD_ADDRESS, InputError
 from scenes.online.processes import called, undisturbed
+from sensing.camera.camera_model import CameraModel
 from sensing.stream import Kind
 from sim.camera.camera import CameraSettings
 from sim.camera.live_camera import LiveCamera
 from sim.contact.contact import ForceSensor
+from sim.devices.ros2_camera import ImageTopic
 from sim.devices.stream_server import (
     DeviceClock,
     NetFTServer,
@@ -50,6 +52,8 @@ class CameraDevice:
         camera: draws what the true camera sees.
         rate: pictures a second [Hz].
         address: of this computer on which it listens; port 0 for any free one.
+        topic: of ROS 2 on which pictures are published, too; None without one.
+        calibrated: the camera as it is believed to be, for the topic's ``CameraInfo``.
     """
 
     camera: LiveCamera
@@ -58,11 +62,13 @@ class CameraDevice:
     clock: DeviceClock
     unkind: Unkindness
     rng: np.random.Generator
+    topic: str | None = None
+    calibrated: CameraModel | None = None
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """A picture to be drawn: its number, stamp and arrival [s], and what ``LiveCamera.picture`` is given."""
+    """A picture to be drawn: number, stamp and arrival [s], what ``LiveCamera.picture`` is given, the stamp's clock."""
 
     number: int
     stamp: float
@@ -70,6 +76,7 @@ class Exposure:
     poses: Sequence[pin.SE3]
     at: float
     shape: tuple[Array, Array]
+    clock: DeviceClock
 
 
 def draw_and_send(pipe: Connection) -> None:
@@ -84,23 +91,32 @@ def draw_and_send(pipe: Connection) -> None:
     except (EOFError, OSError):  # whoever began this process has ended
         return
     model, clock = device.camera.model, device.clock
-    try:
-        server = StreamServer(*device.address, lambda: clock.shows(now()), 1,
-                              camera_description(model.width, model.height, device.rate))
-    except BAD_ADDRESS as error:
-        pipe.send(str(error))
-        return
-    outbox = Outbox(device.unkind, device.rng)
-    pipe.send(server.address)
-    with suppress(EOFError, OSError), undisturbed(priority=_PRIORITY):
-        while (exposure := pipe.recv()) is not None:
-            if server.watched:
-                gray = device.camera.picture(exposure.poses, exposure.at, exposure.shape)
-                payload = field_payload(exposure.number, gray.shape[1], gray.shape[0], gray.tobytes())
-                outbox.put(exposure.arrival, partial(server.send, Kind.FIELD, exposure.stamp, payload))
-            pipe.send(server.watched)
-    outbox.close()
-    server.close()
+    with ExitStack() as stack:
+        try:
+            server = StreamServer(*device.address, lambda: clock.shows(now()), 1,
+                                  camera_description(model.width, model.height, device.rate))
+            stack.callback(server.close)
+            topic = None if device.topic is None else ImageTopic(device.topic, device.calibrated or model)
+        except (*BAD_ADDRESS, InputError) as error:
+            pipe.send(str(error))
+            return
+        if topic is not None:
+            stack.callback(topic.close)
+        outbox = Outbox(device.unkind, device.rng)
+        stack.callback(outbox.close)
+        pipe.send(server.address)
+        with suppress(EOFError, OSError), undisturbed(priority=_PRIORITY):
+            while (exposure := pipe.recv()) is not None:
+                clock = exposure.clock
+                watched = server.watched, topic is not None and topic.watched
+                if any(watched):
+                    gray = device.camera.picture(exposure.poses, exposure.at, exposure.shape)
+                if watched[0]:
+                    payload = field_payload(exposure.number, gray.shape[1], gray.shape[0], gray.tobytes())
+                    outbox.put(exposure.arrival, partial(server.send, Kind.FIELD, exposure.stamp, payload))
+                if watched[1] and topic is not None:
+                    outbox.put(exposure.arrival, partial(topic.send, exposure.stamp, gray))
+                pipe.send(any(watched))
 
 
 class ServedCamera:
@@ -150,15 +166,24 @@ class ServedCamera:
             self._next = host
         while self._next + half < end:
             instant, self._next = self._next, self._next + period
-            t = t0 + instant - host
-            self._number += 1
-            if self._rng.random() < s.loss:
-                continue
-            poses = [self._pose_at(t + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure)
-                     for i in range(s.sub_exposures)]
-            stamp = self._clock.shows(instant) + s.stamp_offset + s.stamp_noise * self._rng.standard_normal()
-            arrival = instant + max(s.latency + s.jitter * self._rng.standard_normal(), 0.0)
-            self._ask(Exposure(self._number, float(stamp), float(arrival), poses, instant, self._shape_at(t)))
+            self.expose(t0 + instant - host, instant, self._clock)
+
+    def expose(self, t: float, instant: float, clock: DeviceClock) -> None:
+        """Exposes once; the picture is drawn and sent elsewhere.
+
+        Args:
+            t: middle of the exposure, of the session [s].
+            instant: the same by this computer's time [s].
+            clock: of the picture's stamp.
+        """
+        s = self._settings
+        self._number += 1
+        if self._rng.random() < s.loss:
+            return
+        poses = [self._pose_at(t + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure) for i in range(s.sub_exposures)]
+        stamp = clock.shows(instant) + s.stamp_offset + s.stamp_noise * self._rng.standard_normal()
+        arrival = instant + max(s.latency + s.jitter * self._rng.standard_normal(), 0.0)
+        self._ask(Exposure(self._number, float(stamp), float(arrival), poses, instant, self._shape_at(t), clock))
 
     def _ask(self, exposure: Exposure) -> None:
         """Never waits; a camera whose process has ended sends nothing any more."""

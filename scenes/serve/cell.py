@@ -119,21 +119,10 @@ class ServedCell:
             "largest_acceleration_share": float(np.max(sharp / limits)),
             "at_rest": bool(np.abs(steps[-3:]).max() < 1e-9) if len(steps) > 3 else True}
         if self._line is not None:
-            figures["control_error_mm"] = self._beside(*self.arm.tcp_path(), self._line)
+            figures["control_error_mm"] = beside_line(*self.arm.tcp_path(), self._line)
         if self.contact is not None:
             figures["force_N"] = self._pressed(self.contact)
         return figures
-
-    def _beside(self, t: Array, tcp: Array, line: DrawnLine) -> dict[str, float]:
-        """Distance of the tool from the drawn line in the surface, while the tool is at it."""
-        s, lateral = line.beside(tcp)
-        counts = (s > 1e-6) & (s < line.length - 1e-6)
-        if counts.any():
-            # A calibration before has visited the line, too; what counts is the last visit.
-            last = len(t) - int(np.argmax(counts[::-1]))
-            outside = np.flatnonzero(~counts[:last])
-            counts &= t >= t[int(outside[-1]) + 1 if len(outside) else 0] + SETTLING
-        return ControlError.of(t, s, lateral, counts).json_mm()
 
     def _pressed(self, contact: TipContact) -> dict[str, float]:
         """Normal force while the tip is on the surface and travels."""
@@ -153,6 +142,24 @@ class ServedCell:
         return figures
 
 
+def beside_line(t: Array, tcp: Array, line: DrawnLine) -> dict[str, float]:
+    """Distance of the tool from the drawn line in the surface on its last visit [mm]; see ``ControlError.json_mm``.
+
+    Args:
+        t: times ``(N,)`` [s].
+        tcp: places of the tool then ``(N, 3)`` [m].
+        line: what is drawn.
+    """
+    s, lateral = line.beside(tcp)
+    counts = (s > 1e-6) & (s < line.length - 1e-6)
+    if counts.any():
+        # A calibration before has visited the line, too; what counts is the last visit.
+        last = len(t) - int(np.argmax(counts[::-1]))
+        outside = np.flatnonzero(~counts[:last])
+        counts &= t >= t[int(outside[-1]) + 1 if len(outside) else 0] + SETTLING
+    return ControlError.of(t, s, lateral, counts).json_mm()
+
+
 @contextmanager
 def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tuple[ServedCell, ServedArm]]:
     """The devices of a scene; they listen from now on, and the arm is led as soon as ``sessions`` is called."""
@@ -165,7 +172,7 @@ def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[t
         arm = stack.enter_context(SimulatedArm(cell.known.robot, cell.world, cell.noise, start))
         outbox = Outbox(unkind, streams[0])
         stack.callback(outbox.close)
-        line, drawn = _line_of(cell, scene)
+        line, drawn = line_of(cell, scene)
         contact = (lambda: TipContact(arm, cell.surface, true_tip(cell.known.scene.tip))
                    ) if isinstance(cell, ForceCell) else None
         served = ServedCell(cell, arm, line, contact)
@@ -196,7 +203,7 @@ def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[t
         yield served, served_arm
 
 
-def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
+def line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
     """The drawn line of a scene and what the camera sees of it."""
     table, settings = scene.camera, CameraSettings.of(scene.camera)
     if table.rolling_ms > 0.0:

@@ -244,10 +244,16 @@ class Unkindness:
 
 
 class DeviceClock:
-    """A clock of its own: shows ``offset`` [s] when it is made, and runs fast by ``drift`` (relative)."""
+    """A clock of its own: shows ``offset`` [s] at ``begun``, and runs fast by ``drift`` (relative).
 
-    def __init__(self, offset: float, drift: float) -> None:
-        self._begun, self._offset, self.drift = time.perf_counter(), offset, drift
+    Args:
+        offset: what it shows first [s].
+        drift: by how much it runs fast (relative).
+        begun: when, by ``time.perf_counter`` [s]; now if None.
+    """
+
+    def __init__(self, offset: float, drift: float, begun: float | None = None) -> None:
+        self._begun, self._offset, self.drift = time.perf_counter() if begun is None else begun, offset, drift
 
     def shows(self, host: float) -> float:
         """What it shows [s] at ``host`` of this computer's ``time.perf_counter``."""

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
-from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape, _weights
 from ideal_robot.command.recorded import command_cycle, update_instants
 from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
@@ -154,6 +154,28 @@ def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law
     settled = slice(100, -100)
     measured, off = (np.sqrt(np.mean(x[settled] ** 2, axis=0)) for x in (q_c - q, q_c - q - foretold))
     assert np.all(off < 0.05 * measured)
+
+
+def test_a_law_is_read_as_the_loop_that_answers_its_commands() -> None:
+    """``q_c = q + T dq/dt`` a dead time early is a lag behind a dead time."""
+    arm, lag, late = Robot.load("kr6"), 0.05, 0.024
+    joint = JointLaw(Shape(late=late), (Column("velocity"),), np.array([lag]), np.zeros((1, 1)), np.zeros(6))
+    law = CommandLaw((joint,) * 6, arm.t_ipo, np.full(6, 0.01), arm.home, np.ones(6), "none", None)
+    model = dataclasses.replace(Model.nominal(arm), command=law)
+    assert model.by_law
+    g = CommandInverse(model, arm).response(arm.home, 40)
+    assert g.sum(axis=0) == pytest.approx(1.0, abs=0.02)
+    assert arm.t_ipo * (np.arange(40.0) @ g) / g.sum(axis=0) == pytest.approx(late + lag, abs=0.002)
+    t = arm.t_ipo * (np.arange(40) + 0.5) - late
+    expected = np.where(t > 0.0, 1.0 - np.exp(-np.maximum(t, 0.0) / lag), 0.0)
+    # Rows resolve no corner: the response is smooth over two of them.
+    np.testing.assert_allclose(np.cumsum(g, axis=0), np.tile(expected[:, None], 6), atol=0.1)
+
+
+@pytest.mark.parametrize("row", [0.0, 0.3, 4.7, 8.999, 9.0])
+def test_a_row_between_rows_is_the_cubic_splines(row: float) -> None:
+    rows = np.random.default_rng(1).standard_normal(10)
+    assert _weights(10, row) @ rows == pytest.approx(float(CubicSpline(np.arange(10.0), rows)(row)), abs=1e-12)
 
 
 @pytest.mark.skipif(not EMPS.exists(), reason="the measured machine's recordings are not here")

@@ -131,6 +131,8 @@ def test_the_extended_model_predicts_what_was_found(tmp_path):
     diagnosis, other = diagnose(rippled(robot, 0.0, 1), robot), rippled(robot, 0.0, 2)
     again = Model.load(diagnosis.model.save(tmp_path / "model.json"))
     assert [e.name for e in again.effects] == [e.fitted.name for e in (*diagnosis.effects, *diagnosis.unknown)]
+    # What it leaves stands in it, for who diagnoses against it.
+    assert again.noise_std == pytest.approx([channel.rms_after for channel in diagnosis.channels], rel=0.1)
     bare = dataclasses.replace(again, effects=())
     with_effect, without = (m.predict(other).relative_error_percent[0] for m in (again, bare))
     assert with_effect < 0.5 * without

@@ -75,6 +75,25 @@ def test_what_is_wrong_with_the_form_of_a_cause_of_the_whole_arm_may_show_in_eac
     assert beside > alone
 
 
+def test_an_error_of_form_is_in_what_parameters_with_a_prior_are_estimated_from_too(problem: Problem) -> None:
+    """Beside a large cause, friction known to 3 % was weighed as if the rows were right to their noise."""
+    r = problem.regression
+    s, way = r.signals, r.signals.sliding_direction(3)
+    # Nearly what dry friction makes, so that an estimate beside it is by what little is of its own.
+    rubs = r.filtered.decimate(s.on_joint(3, way * (1.0 + 0.02 * np.sin(7.0 * s.q[:, 2]))))
+    pulls = 300.0 * r.filtered.decimate(s.on_joint(3, s.q[:, 2]))[:, :, 0]
+    known = Problem(replace(r, W=np.concatenate([r.W, rubs], axis=2), y=r.y + pulls),
+                    np.diag([*np.full(r.W.shape[2], 1e-6), 1.0]))
+    best = BestSet(known, EFFECTS, absorbed=True)
+    spring, dry = Candidate(find("cable_spring", "tau"), 3), Candidate(find("coulomb", "tau"), 3)
+    best.take([spring])
+    best.add(dry)
+    makes = best.narrow(dry, [spring])[0, 0] * best.system.groups[dry.key].values
+    # Five per cent of what the spring makes, and what the class errs by; with rows taken for right, 8.5 times it.
+    share = float(np.std(makes) / np.std(pulls))
+    assert 0.02 < share < 0.2
+
+
 def test_what_the_class_may_err_by_bars_no_cause_that_stands_above_it(problem: Problem, monkeypatch) -> None:
     best = BestSet(problem, EFFECTS, absorbed=False)
     below, above, further = (Weighed(Candidate(find(name, "tau"), 2), Joined(*np.zeros((2, 1)), 0.0), nats)

@@ -168,6 +168,23 @@ def test_bad_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         arm_of_mjcf(other)
 
 
+@pytest.mark.parametrize("sites", [0, 1])
+def test_tools_are_held_at_the_end_of_what_the_last_joint_moves(sites: int, tmp_path: Path) -> None:
+    spec = mujoco.MjSpec.from_string(without_meshes(Robot.load("kr6").urdf.read_text()))
+    spec.compiler.fusestatic = False
+    last = list(spec.joints)[-1].parent
+    hand = last.add_body(name="hand", pos=[0.0, 0.0, 0.1])
+    hand.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0.0, 0.0], mass=1.5)
+    hand.add_body(name="finger", pos=[0.0, 0.0, 0.3])
+    for _ in range(sites):
+        hand.add_site(name="grip", pos=[0.0, 0.01, 0.05])
+    path = tmp_path / "held.xml"
+    spec.compile()
+    path.write_text(spec.to_xml())
+    np.testing.assert_allclose(arm_of_mjcf(path).robot.tool_place, [0.0, 0.01, 0.15] if sites else [0.0, 0.0, 0.4],
+                               atol=1e-9)
+
+
 def test_a_urdf_has_the_friction_too(tmp_path: Path) -> None:
     model = plain(Model.load(shipped_model("kr6")), np.random.default_rng(5))
     robot = Robot.load(written(tmp_path, urdf_with_dynamics(model)))

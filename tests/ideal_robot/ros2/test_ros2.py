@@ -17,15 +17,18 @@ pytest.importorskip("rclpy", reason="a sourced ROS 2, or pip install 'ideal-robo
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
-from ideal_robot.interfaces import LinkSettings, interface_of
+from ideal_robot.interfaces import LinkSettings, interface_of, read_arm
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.robot import Robot
 from ideal_robot.ros2.node import Ros2Error, full_name
 from ideal_robot.ros2.robot import Ros2Robot, opened
 from scenes.online.path_player import PathPlayer
+from scenes.scene_files.drawn_line import CameraTable, believed_camera
+from sensing.camera.cameras import open_camera
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.ros2_arm import Ros2Arm
+from sim.devices.ros2_camera import ImageTopic
 
 pytestmark = [pytest.mark.slow, pytest.mark.real_time]
 ROBOT = Robot.load("kr6")
@@ -207,3 +210,70 @@ def test_names_in_a_namespace() -> None:
     assert full_name("left/arm", "joint_states") == "/left/arm/joint_states"
     link = opened(Address.parse("ros2://left/arm?commands=c"), ROBOT, LinkSettings())
     assert (link.states, link.commands) == ("/left/arm/joint_states", "/left/arm/c")
+
+
+# Who does not lead the arm reads along.
+
+@contextmanager
+def playing(**options: Any) -> Iterator[Ros2Arm]:
+    """Controllers in a thread that nobody leads."""
+    with SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
+        arm.cycle(arm.truth.q_m)
+        controllers = Ros2Arm(arm, **options)
+        thread = threading.Thread(target=controllers.play, daemon=True)
+        thread.start()
+        try:
+            yield controllers
+        finally:
+            controllers.stop()
+            thread.join(10.0)
+            controllers.close()
+
+
+def test_states_are_read_without_leading_the_arm() -> None:
+    with playing(shuffled=[4, 1, 0, 5, 3, 2]) as controllers, read_arm("ros2://", ROBOT, 10.0, "--camera-of") as states:
+        read = [state for _ in range(40) for state in states.read(1.0)]
+        assert controllers.run.heard == 0
+    assert len(read) >= 40
+    np.testing.assert_allclose(np.diff([state.t for state in read]), T, atol=1e-6)
+    np.testing.assert_allclose([state.q for state in read], np.tile(ROBOT.home, (len(read), 1)), atol=1e-2)
+
+
+def test_states_of_another_arm_are_bad_input() -> None:
+    with playing(degrees=True), pytest.raises(InputError, match="look like degrees"), read_arm(
+            "ros2://", ROBOT, 10.0, "--camera-of"):
+        pass
+    with playing() as controllers:
+        names, controllers._names = controllers._names, [*controllers._names[:5], "another"]
+        assert len(names) == 6
+        with pytest.raises(InputError, match=f"has not all joints of kr6: {names[0]}"), read_arm(
+                "ros2://", ROBOT, 2.0, "--camera-of"):
+            pass
+
+
+def test_pictures_on_a_topic_are_what_a_camera_reads() -> None:
+    camera = believed_camera(CameraTable())
+    shown = np.random.default_rng(1).integers(0, 256, (camera.height, camera.width), dtype=np.uint8)
+    topic = ImageTopic("/cell/camera/image_raw", camera)
+    ended = threading.Event()
+
+    def send() -> None:
+        k = 0
+        while not ended.wait(0.02):
+            topic.send(100.0 + 0.02 * k, shown)
+            k += 1
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    try:
+        eye = open_camera("ros2:///cell/camera/image_raw", 0.03)
+        assert topic.watched
+        frames = [frame for frame in (eye.read(2.0) for _ in range(12)) if frame is not None]
+        eye.close()
+    finally:
+        ended.set()
+        thread.join(5.0)
+        topic.close()
+    assert len(frames) >= 10
+    np.testing.assert_array_equal(frames[-1].image, shown)
+    assert 50.0 * (frames[-1].stamp - 100.0) == pytest.approx(round(50.0 * (frames[-1].stamp - 100.0)), abs=1e-6)

@@ -18,8 +18,10 @@ import pytest
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
+from ideal_robot.robots.address import Address
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rtde import RtdeError, RtdeRobot
+from ideal_robot.rtde.reader import reader
 from ideal_robot.rtde.wire import MAX_PACKAGE, Kind, Reader, Recipe, RtdeConnection, package, said
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -49,6 +51,26 @@ def until(link: RtdeRobot, end: Callable[[int], bool] = lambda k: k == 100) -> N
         link.cycle(ramp(k))
         if end(k):
             return
+
+
+def test_states_are_read_beside_who_leads_the_arm() -> None:
+    with connected() as (link, controller):
+        address = Address.parse("rtde://{}:{}".format(*controller.address))
+        with reader(address, ROBOT, 5.0) as beside:
+            read, led = [], []
+            for k in range(1, 40):
+                led.append(link.cycle(ramp(k)).q)
+                read += beside.read(1.0)
+            found = np.abs(np.array([state.q for state in read])[:, None] - np.array(led)[5:]).max(axis=2)
+            assert np.all(found.min(axis=0) < 1e-9)
+            assert len({state.t for state in read}) == len(read) >= 39
+            np.testing.assert_allclose(np.diff([state.t for state in read]), ROBOT.t_ipo, atol=1e-6)
+            assert beside.read(0.05) == []
+        # It has written nothing, and its leaving changes nothing.
+        assert controller.inputs["input_int_register_24"] == (39,)
+        link.cycle(ramp(40))
+    with pytest.raises(InputError, match="6 joints"):
+        reader(address, SimpleNamespace(n=7, name="fr3"), 1.0)  # type: ignore[arg-type]
 
 
 def test_what_is_agreed_on_is_what_was_asked_for() -> None:

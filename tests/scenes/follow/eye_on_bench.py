@@ -115,7 +115,7 @@ class Eye:
             arrived, frame = self._due.popleft()
             if self.clock.add(frame.stamp, arrived):
                 self.worker._frames.append(frame)
-                self.messages.append(Header(frame.number, self.clock.host(frame.stamp), arrived))
+                self.messages.append(Header(frame.number, self.clock.host(frame.stamp), arrived, frame.stamp))
 
     def send(self, told: tuple[str, Any]) -> None:
         """What the camera's process tells: kind and content."""

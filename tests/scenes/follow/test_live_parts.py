@@ -357,13 +357,27 @@ def test_pictures_with_impossible_stamps_are_counted_and_a_gone_camera_stops(lin
     for k in range(50):
         arm.cycle(link.robot.home)
         off = {20: 0.1, 30: -0.6}.get(k, 0.0)
-        eye.messages = [Header(k, link.arrived - 0.04 + off, link.arrived)]
+        eye.messages = [Header(k, link.arrived - 0.04 + off, link.arrived, link.arrived - 0.04 + off)]
     assert (camera.early, camera.late) == (1, 1 + 3)
     np.testing.assert_allclose(np.diff(eye.asked)[:10], arm.t_ipo, atol=1e-6)
     eye.ended = "the camera's process has ended"
     arm.cycle(link.robot.home)
     with pytest.raises(FollowStoppedError, match="camera's process"):
         arm.check(1.0)
+
+
+def test_a_clock_that_becomes_known_better_is_no_stamps_that_wander(link: Tame, arm: LiveArm) -> None:
+    """Where stamps are related by arrivals alone, instants by this computer's clock shift by milliseconds at first."""
+    eye, rng = Eye(), np.random.default_rng(1)
+    camera = LiveCamera(eye, arm, DetectionSettings())  # type: ignore[arg-type]
+    camera.predict = lambda t: None  # type: ignore[assignment, return-value]
+    link._begun += 60.0
+    for k in range(60):
+        arm.cycle(link.robot.home)
+        taken = link.arrived - 0.04 + 0.005 * rng.standard_normal()
+        eye.messages = [Header(k, taken, link.arrived + 0.002 * rng.standard_normal(), 12.0 + arm.t_ipo * k)]
+    assert len(eye.asked) > 50
+    assert arm.stop_reason is None
 
 
 @pytest.mark.parametrize("film", ["film.avi", pytest.param("none.avi", marks=pytest.mark.slow)])

@@ -19,12 +19,14 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import register, unregister
+from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.online.live_arm import answers_within, response_of
 from scenes.online.processes import undisturbed
 from scenes.rsi.self_test import held_cycles
-from scenes.rsi.server import RsiRun, RsiServer, _require_better, answers_within, prepared, rsi_server
+from scenes.rsi.server import RsiRun, RsiServer, _require_better, prepared, rsi_server
 from scenes.scene_files.scene import SceneError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -237,20 +239,22 @@ def test_a_wait_that_never_ends_is_refused(program, seconds: str) -> None:
 
 @pytest.mark.parametrize("cycle_ms", [1, 4, 40, *(pytest.param(ms, marks=pytest.mark.slow) for ms in (5, 8, 12))])
 def test_the_ideal_robot_is_one_at_every_cycle(cycle_ms: int) -> None:
-    arm, law, loop, _ = prepared(robot="kr6", cycle=1e-3 * cycle_ms)
-    assert loop is not None
+    arm, law, model, _ = prepared(robot="kr6", cycle=1e-3 * cycle_ms)
+    assert model is not None
+    loop = loop_model(model, arm)
     assert law.t_ipo == arm.t_ipo == loop.t_ipo == pytest.approx(1e-3 * cycle_ms)
     t = np.arange(0.0, 2.4, arm.t_ipo)
     shape = np.sin(np.pi * np.clip((t - 0.6) / 1.2, 0.0, 1.0))[:, None] ** 4
     q_d = arm.home + shape * np.array([0.3, -0.2, 0.25, 0.4, -0.3, 0.5])
     off = [np.sqrt(np.mean((q_d - simulate(loop, q_c).q_a[:-1])[t > 0.6] ** 2)) for q_c in (law.along(q_d), q_d)]
     assert off[0] < 0.1 * off[1]
-    assert 0.02 < answers_within(loop, arm) < 0.6
+    assert 0.02 < answers_within(response_of(model, arm), arm.t_ipo) < 0.6
 
 
 def test_a_correction_that_makes_it_worse_is_refused_with_what_to_do() -> None:
-    arm, law, loop, file = prepared(robot="kr6", cycle=0.004)
-    assert loop is not None
+    arm, law, model, file = prepared(robot="kr6", cycle=0.004)
+    assert model is not None
+    loop = loop_model(model, arm)
     q_d = arm.home + 0.01 * np.sin(np.linspace(0.0, np.pi, 300))[:, None] ** 4
 
     class Wrong(PassThrough):
@@ -290,12 +294,12 @@ def test_what_was_granted_is_given_back() -> None:
 def test_a_method_of_another_package_is_served() -> None:
     register("mine", lambda setting: PassThrough(setting.robot.t_ipo), description="mine", needs=Needs.NOTHING)
     try:
-        arm, law, loop, _ = prepared(robot="kr6", method="mine")
+        arm, law, model, _ = prepared(robot="kr6", method="mine")
     finally:
         unregister("mine")
     assert isinstance(law, PassThrough)
     assert law.t_ipo == arm.t_ipo
-    assert loop is None
+    assert model is None
 
 
 @pytest.mark.parametrize("method", ["trained", "learned-1", "learned-model", "precorrected_1", "unheard_of"])

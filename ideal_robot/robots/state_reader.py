@@ -1,0 +1,68 @@
+"""What an arm's controller reports, read by somebody who does not lead the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+
+BEYOND = 0.1
+"""How far beyond its limits a joint may be reported [rad]: limits of URDFs and of controllers differ a little."""
+
+
+@dataclass(frozen=True)
+class ReportedState:
+    """Where an arm was.
+
+    Attributes:
+        t: by the controller's clock [s].
+        arrived: when it was read, by ``time.perf_counter`` [s].
+        q: joint angles ``(n,)`` [rad], in the order of the URDF.
+    """
+
+    t: float
+    arrived: float
+    q: Array
+
+
+class StateReader(Protocol):
+    """Reads the states of an arm that others lead; nothing is commanded."""
+
+    def read(self, timeout: float) -> list[ReportedState]:
+        """States that have come since the last call, waited for up to ``timeout`` [s] where there are none.
+
+        Raises IdealRobotError where no more can come.
+        """
+        ...
+
+    def close(self) -> None:
+        """Ends reading."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+def no_radians(robot: Robot, names: Sequence[str], q: Array, source: str) -> str | None:
+    """Why reported angles cannot be the arm's, with what they may be instead; None where they can.
+
+    Args:
+        robot: limits.
+        names: of its joints.
+        q: reported ``(n,)`` [rad].
+        source: what reports them, for the message.
+    """
+    turning = ~robot.prismatic
+    beyond = turning & ~((q >= robot.q_min - BEYOND) & (q <= robot.q_max + BEYOND))
+    if not beyond.any():
+        return None
+    j, in_radians = int(np.argmax(beyond)), np.radians(q)
+    fits = ((in_radians >= robot.q_min) & (in_radians <= robot.q_max))[turning].all()
+    return (f"{names[j]} is at {q[j]:.4g} on {source}, beyond its limits"
+            + ("; positions have to be radians, these look like degrees" if fits else ""))
