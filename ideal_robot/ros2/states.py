@@ -153,6 +153,11 @@ class Ros2Reader:
 def reader(address: Address, robot: Robot, patience: float) -> Ros2Reader:
     """Reads the states at ``ros2://namespace?states=…``; options of commands are passed over.
 
+    Args:
+        address: of the arm's interface.
+        robot: whose joints they are.
+        patience: how long they are waited for [s].
+
     Raises:
         InputError: another option.
         Ros2Error: see ``Ros2Reader``.

@@ -70,6 +70,11 @@ class RtdeReader:
 def reader(address: Address, robot: Robot, patience: float) -> RtdeReader:
     """Reads the states at ``rtde://host:port``.
 
+    Args:
+        address: of the arm's interface.
+        robot: whose joints they are.
+        patience: how long they are waited for [s].
+
     Raises:
         InputError: an option, an arm without six joints.
         RtdeError: see ``RtdeReader``.
