@@ -155,8 +155,10 @@ class ClockRelation:
         points = np.array(self._points[:-1])
         if len(points) < 2:
             return
-        recent = points[-BEHIND:]
-        if len(points) > BEHIND and (recent[:, 1] - self._offset - self._drift * recent[:, 0] > STEP).all():
+        above = points[:, 1] - self._offset - self._drift * points[:, 0]
+        # Where messages jitter, the soonest of a piece is usually later than the soonest of all: that is no step.
+        recent, usual = points[-BEHIND:], float(np.median(above[:-BEHIND])) if len(points) >= 2 * BEHIND else np.inf
+        if (above[-BEHIND:] > STEP + usual).all():
             self.restarts += 1
             self._points = self._points[-BEHIND - 1 :]
             points = recent

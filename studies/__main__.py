@@ -31,7 +31,7 @@ GROUPS = {
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-cell": "arms", "arms-fast": "arms",
         "knew": "arms", "urdfs": "arms", "controllers": "controllers", "controlled-line": "controlled_line",
-        "five-commands": "five_commands",
+        "five-commands": "five_commands", "fr3-line": "fr3_line",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths", "friction-sigma": "adapted_friction",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",

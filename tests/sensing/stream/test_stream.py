@@ -192,3 +192,22 @@ def device(hello: bytes, messages: Callable[[int], bytes | None], *, clock: Call
         stopped.set()
         thread.join(5.0)
         listener.close()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_messages_that_jitter_set_no_clock_anew(seed: int) -> None:
+    """Pictures over a network, 4 ms sooner or later: every few seconds their clock was taken for another."""
+    rng, clock = np.random.default_rng(seed), ClockRelation()
+    for k in range(1500):
+        clock.add(0.04 * k, 50.0 + 0.04 * k + 0.04 + 0.004 * float(rng.standard_normal()))
+        # A first message that came late is no clock yet.
+        if k < 10:
+            begun = clock.restarts
+    assert clock.restarts == begun
+    # The soonest messages tell: those of five standard deviations at most.
+    assert 0.02 < clock.host(60.0) - 110.0 < 0.04
+    # One that is really set back is noticed nevertheless.
+    for stamp in 60.0 + 0.04 * np.arange(100):
+        clock.add(float(stamp), 50.03 + float(stamp) + 0.04 + 0.004 * float(rng.standard_normal()))
+    assert clock.restarts == begun + 1
+    assert 0.05 < clock.host(64.0) - 114.0 < 0.075
