@@ -90,7 +90,7 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
     if not (folder / "model.json").is_file():
         _identified(folder)
     first, _, last = seeds.partition("-")
-    head("speed [m/s]", "seed", "mean [mm]", "95 % below", "largest", "late answers of cycles", "pictures left out",
+    head("speed [m/s]", "seed", "mean [mm]", "95 % below", "largest", "cycles lost", "pictures left out",
          "remark")
     means: dict[float, list[float]] = {}
     for speed, seed in product(map(float, speeds.split(",")), range(int(first), int(last or first) + 1)):
@@ -98,7 +98,7 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
         error = figures["control_error_mm"] or {}
         means.setdefault(speed, []).append(error.get("mean") or np.nan)
         row(f"{speed:g}", str(seed), *(f"{error.get(key) or np.nan:.3f}" for key in ("mean", "p95", "max")),
-            f"{figures['late']} of {figures['cycles']}", str(figures["pictures_left_out"]), figures["failure"] or "")
+            f"{figures['lost']} of {figures['cycles']}", str(figures["pictures_left_out"]), figures["failure"] or "")
     for speed, all_means in means.items():
         row(f"{speed:g}", "all", f"{np.mean(all_means):.3f}, at most {np.max(all_means):.3f}", "", "", "", "", "")
 
@@ -148,7 +148,7 @@ def _played(folder: Path, env: dict[str, str], scene: Path, own: Path, camera: P
     link = follow.get("devices", {}).get("arm", {}).get("link", {})
     said = (own / "follow.txt").read_text(encoding="utf-8").strip().splitlines()
     return {**seen, "failure": follow.get("failure", said[-1] if said else "nothing was said"),
-            "late": link.get("lost"), "cycles": follow.get("cycles")}
+            "lost": link.get("lost"), "cycles": follow.get("cycles")}
 
 
 @contextmanager
