@@ -14,6 +14,8 @@ UNRESOLVED = 1e-7
 """Difference of commands and positions that no encoder resolves [rad, m]: one of 24 bits has 4e-7 rad."""
 DEPENDENT = 1e-8
 """Size of a column over the largest from which on it counts as independent: half of the digits of double precision."""
+WRITTEN = 1e-6
+"""To which numbers of a file are right that people write, relative to one and their size: six digits."""
 REVERSING = 1e-6
 """Speed over the one below which a joint counts as reversing, that is the rounding of a joint at rest."""
 ZERO_CROSSING = 1e-4

@@ -300,11 +300,11 @@ def _refined(left: Callable[[_Channel], float], channel: _Channel, follows: bool
 
 
 def _needed(joints: Sequence[Sequence[_Stretches]], found: _Fitted) -> _Fitted:
-    """The fit without those things that drives do without which it leaves no more than by ``_SEEN``.
+    """The fit without what it does as well without: each thing that drives do has to lower what is left by ``_SEEN``.
 
     Args:
         joints: of the arm, for each way of logging.
-        found: with all of them.
+        found: the fit with all that was found.
     """
     for less in ({"turns": 0.0}, {"rate": 0.0}, {"accelerated": False}, {"ahead": False}, {"schedule": 0.0}):
         if (simpler := found.channel._replace(**less)) != found.channel:

@@ -29,6 +29,7 @@ from ideal_robot.model.model_file import urdf_with_inertials
 from ideal_robot.model.parametrisation import coefficient_columns, friction_places, parameter_vector
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
+from ideal_robot.tolerances import WRITTEN
 from ideal_robot.whole_file import write_text
 
 _SURE = 3.0
@@ -39,8 +40,6 @@ SLOW, FAST = 0.05, 1.0
 """Speeds between which a friction law is brought to MuJoCo's two terms, relative to the joint's limit …"""
 USUAL_SPEED = 2.0
 """… or to this where it has none [rad/s or m/s]."""
-DIGITS = 1e-6
-"""To which numbers of an MJCF are right, relative to one and their size: people write six digits."""
 TURNS = 2.0 * np.pi
 """Limit of a joint that has none [rad]."""
 
@@ -436,7 +435,7 @@ def arm_of_mjcf(path: str | Path) -> MujocoArm:
     friction = PerJointFriction([ViscousCoulomb(np.array([[v], [c]])) for v, c in zip(damping, loss, strict=True)])
     values = base.of(full)
     # Numbers are as they are written: known, but for rounding.
-    covariance = np.diag((DIGITS * (1.0 + np.abs(parameter_vector(values, friction)))) ** 2)
+    covariance = np.diag((WRITTEN * (1.0 + np.abs(parameter_vector(values, friction)))) ** 2)
     model = Model(nominal.arm, base, values, friction, covariance, full, np.zeros(robot.n),
                   provenance={"method": "MuJoCo model", "file": str(path)})
     springs = [j + 1 for j, joint in enumerate(chain) if np.any(np.atleast_1d(compiled.jnt_stiffness[joint]) != 0.0)]
