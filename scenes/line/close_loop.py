@@ -221,16 +221,19 @@ class _Line(Subject[LineResult]):
     def _kept(self, run: LineResult, measured: Measured | None = None) -> Array:
         """How far the tool was across its way from where it was wanted ``(N, 2)`` [m], by what is ``measured``.
 
-        When it comes to a place is no distance from a line.
+        When it comes to a place is no distance from a line. It is asked where the distance from the line counts: what a
+        line that was just found is approached by is the plan's.
         """
+        if not len(run.control_error.t):
+            return np.empty((0, 2))
+        first, last = run.control_error.t[[0, -1]]
         seen = self.seen(run) if measured is None else visible(run.recording, measured)
         (recording,), _ = checked([seen], self.robot)
         t = np.arange(recording.t[0], recording.t[-1], self.robot.t_ipo)
         q_d = interpolated(t, recording.t, recording.joints("q_d"))
-        moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-8)
-        if len(moving) < 8:
+        counts = (t >= first) & (t <= last)
+        if np.count_nonzero(counts) < 8:
             return np.empty((0, 2))
-        counts = (np.arange(len(t)) >= moving[0]) & (np.arange(len(t)) <= moving[-1])
         wanted = self.robot.tool_places(q_d)
         off = interpolated(t, recording.t, measured_places(recording, (t, q_d), self.robot, self.known)) - wanted
         along = np.gradient(wanted, axis=0)
