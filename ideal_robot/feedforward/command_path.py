@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
-from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
 from ideal_robot.loop.loop import Cascade, Loop
@@ -81,6 +80,8 @@ def position_loop_signal(cascade: Cascade, i: int, r: Array, t_position: float) 
     signal, rate = cascade.k_v[i] * r, r
     passed = -np.expm1(-t_position / cascade.t_rate) if cascade.t_rate > 0.0 else 1.0
     for gain in (cascade.k_ff[i], cascade.k_a[i]):
-        rate = lfilter([passed / t_position], [1.0, passed - 1.0], np.diff(rate, axis=0, prepend=rate[:1]), axis=0)
+        rate = passed / t_position * np.diff(rate, axis=0, prepend=rate[:1])
+        for row in range(1, len(rate)):
+            rate[row] += (1.0 - passed) * rate[row - 1]
         signal = signal + gain * rate
     return np.asarray(signal)

@@ -28,7 +28,7 @@ from scenes.online.live_arm import LiveArm, Worked
 from scenes.online.live_sensors import LiveCamera
 from scenes.online.log import SETTLING
 from scenes.scene_files.line_scene import LineScene
-from scenes.serve.cell import _line_of
+from scenes.serve.cell import line_of
 from sensing.camera.camera_device import Gray
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.cameras import Frame
@@ -89,7 +89,7 @@ class Eye:
         scene = cell.known.scene
         self._stamp, self._picture, self.ended = stamp, picture, None
         self.settings = CameraSettings.of(scene.camera)
-        self._drawn = _line_of(cell, scene)[1]
+        self._drawn = line_of(cell, scene)[1]
         self.worker = _Worker(cell.known.camera, scene.camera.detector, self)  # type: ignore[arg-type]
         self.clock, self.messages = ClockRelation(self.settings.latency), deque[Any]()
         self._due: deque[tuple[float, Frame]] = deque()
