@@ -292,9 +292,9 @@ def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
     """The motion that would distinguish an effect from its rivals; empty where there are none."""
     motions = {frozenset({effect.name, other}): motion for effect in library()
                for other, motion in effect.discriminating_motion}
-    advice = [motions.get(frozenset({name, rival}), f"a motion with other speeds, ranges and loads ({name} or {rival})")
-              for rival in rivals]
-    return "; ".join(dict.fromkeys(advice))
+    advice = dict.fromkeys(motions.get(frozenset({name, rival}), "") for rival in rivals)
+    specific = [motion for motion in advice if motion]
+    return "; ".join([*specific, *(["a motion with other speeds, ranges and loads"] if "" in advice else [])])
 
 
 def _ranked_structure(best: BestSet, residuals: Sequence[Array]) -> list[tuple[Structure, ...]]:
