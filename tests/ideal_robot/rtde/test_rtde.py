@@ -54,7 +54,8 @@ def until(link: RtdeRobot, end: Callable[[int], bool] = lambda k: k == 100) -> N
 
 
 def test_states_are_read_beside_who_leads_the_arm() -> None:
-    with connected() as (link, controller):
+    # Without an answer a cycle ends well before the reader's patience does.
+    with connected(timeout=1.0) as (link, controller):
         address = Address.parse("rtde://{}:{}".format(*controller.address))
         with reader(address, ROBOT, 5.0) as beside:
             read, led = [], []
