@@ -53,6 +53,7 @@ from ideal_robot.loop.loop import (
     compensated,
     further_torque,
     gains_at,
+    mass_at,
     ripple_torque,
     sheet_torque,
     unevenness,
@@ -429,7 +430,7 @@ def _loop_torques(drives: Drives, compensation: Compensation, motors: _Motion, a
             wanted[j, i] = torque - compensated(compensation, i, motors.v[j, i])
         if compensation.coupled:
             # M diag(1/J_0) x = τ; M is positive definite.
-            M = gains_at(compensation, motors.q[j]) * compensation.scheduled_at
+            M = mass_at(compensation.sheet, compensation.rotors, motors.q[j])
             if factor(M):
                 solve(M, wanted[j])
                 wanted[j] *= compensation.scheduled_at

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
@@ -30,23 +31,25 @@ class ReportedState:
     q: Array
 
 
-class StateReader(Protocol):
-    """Reads the states of an arm that others lead; nothing is commanded."""
+class StateReader(ABC):
+    """Reads the states of an arm that others lead, to the end of a ``with`` block; nothing is commanded."""
 
+    @abstractmethod
     def read(self, timeout: float) -> list[ReportedState]:
         """States that have come since the last call, waited for up to ``timeout`` [s] where there are none.
 
         Raises IdealRobotError where no more can come.
         """
-        ...
 
+    @abstractmethod
     def close(self) -> None:
         """Ends reading."""
-        ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *error: object) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def no_radians(robot: Robot, names: Sequence[str], q: Array, source: str) -> str | None:

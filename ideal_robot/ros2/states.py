@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkCounts
 from ideal_robot.robots.robot import Robot
-from ideal_robot.robots.state_reader import ReportedState, no_radians
+from ideal_robot.robots.state_reader import ReportedState, StateReader, no_radians
 from ideal_robot.ros2.node import Node, Ros2Error, full_name, seconds
 
 STATES = "joint_states"
@@ -103,7 +103,7 @@ class JointStates:
         return f"no message on {self._topic} for {timeout:g} s"
 
 
-class Ros2Reader:
+class Ros2Reader(StateReader):
     """A ``StateReader`` of joint states.
 
     Args:
@@ -142,12 +142,6 @@ class Ros2Reader:
     def close(self) -> None:
         """See ``StateReader.close``."""
         self._node.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def reader(address: Address, robot: Robot, patience: float) -> Ros2Reader:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 import numpy as np
 
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.robot import Robot
-from ideal_robot.robots.state_reader import ReportedState, no_radians
+from ideal_robot.robots.state_reader import ReportedState, StateReader, no_radians
 from ideal_robot.rtde.robot import AXES, PORT
 from ideal_robot.rtde.wire import RtdeConnection, RtdeError
 
@@ -19,7 +17,7 @@ _ANSWERS = 5.0
 """Time that the controller has at most to agree on what it sends [s]."""
 
 
-class RtdeReader:
+class RtdeReader(StateReader):
     """A ``StateReader`` that takes nothing but time and joint angles, and writes no register.
 
     Args:
@@ -59,12 +57,6 @@ class RtdeReader:
         """See ``StateReader.close``."""
         self._connection.pause()
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def reader(address: Address, robot: Robot, patience: float) -> RtdeReader:
