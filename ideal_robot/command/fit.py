@@ -23,6 +23,7 @@ from ideal_robot.command.controllers import CONTROLLERS, Controller
 from ideal_robot.command.filters import from_rest
 from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape, error_parts
 from ideal_robot.command.motion import Motion
+from ideal_robot.command.servo import SERVO, Servo
 from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.terms import TERMS
 from ideal_robot.estimate.gaussian import Posterior, posterior
@@ -257,11 +258,30 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
     alone = _judged(joint, _searched(joint, [kind for kind in kinds if kind not in by_torque]))
     if not by_torque:
         return alone
-    usual = _judged(joint, _searched(joint, by_torque))
+    found = _searched(joint, by_torque)
+    usual, servo = _judged(joint, found), _servo(joint, found)
     # Better not only beyond chance, but by as much as changes a user's path.
     better = (alone.law.residual + _RESOLVED * alone.law.deviation < usual.law.residual
               and leaves_less(np.concatenate(alone.left), np.concatenate(usual.left)))
-    return alone if better else usual
+    fitted = alone if better else usual
+    return dataclasses.replace(fitted, law=dataclasses.replace(fitted.law, servo=servo))
+
+
+def _servo(joint: JointRows, found: _Found) -> Servo | None:
+    """The joint as PD control, by the measured torque; None where that leaves more than the best law by torques does.
+
+    What a law leaves counts on rows that it was not fitted to, and from what changes a user's path.
+    """
+    if joint.stretches[0].motion.bodies is None:
+        return None
+    columns = tuple(Column(name) for name in SERVO)
+    left = _held_out(joint, joint, found.shape, found.columns)[0]
+    tried = {late: _held_out(joint, joint, Shape(late=late), columns) for late in (0.0, found.shape.late)}
+    late = min(tried, key=lambda late: tried[late][0])
+    own, _, solution = tried[late]
+    if own > left + _RESOLVED * joint.size:
+        return None
+    return Servo.of(dict(zip(SERVO, solution.mean, strict=True)), solution.covariance, late)
 
 
 def _searched(joint: JointRows, kinds: Sequence[Controller]) -> _Found:
@@ -296,26 +316,36 @@ def _judged(joint: JointRows, found: _Found) -> FittedJoint:
     Coefficients come from rows with the measured torque or with the model's, whichever leaves less.
     """
     used = JointRows([dataclasses.replace(s, motion=s.used) for s in joint.stretches], joint.j, joint.law)
-    X, y = used.raw(found.shape, found.columns)
-    fold = joint.blocks * _FOLDS // BLOCKS % 2
-    best = None
-    for source in (joint, used) if any(column.of.torque for column in found.columns) else (joint,):
-        source.listen(found.shape, found.columns)
-        products = source.products(found.shape, found.columns)
-        left = np.empty_like(y)
-        for held_out in (0, 1):
-            rows = fold == held_out
-            left[rows] = (y - X @ products.without(np.unique(joint.blocks[rows])).mean)[rows]
-        error = np.sqrt(np.mean(left[joint.use] ** 2))
-        if best is None or error < best[0]:
-            best = error, left, products.solution()
-    assert best is not None
-    error, left, solution = best
+    sources = (joint, used) if any(column.of.torque for column in found.columns) else (joint,)
+    error, left, solution = min((_held_out(source, used, found.shape, found.columns) for source in sources),
+                                key=lambda judged: judged[0])
     deviation = np.concatenate([(s.command[:, joint.j] - q)[s.rows]
                                 for s, q in zip(joint.stretches, joint.q, strict=True)])
     own = JointLaw(found.shape, found.columns, solution.mean, solution.covariance, np.zeros(PARTS),
                    float(np.std(deviation)), float(error), found.kind.name)
     return FittedJoint(own, tuple(np.split(left[joint.use], np.cumsum([len(s.rows) for s in joint.stretches])[:-1])))
+
+
+def _held_out(source: JointRows, used: JointRows, shape: Shape, columns: Sequence[Column]
+              ) -> tuple[float, Array, Posterior]:
+    """What coefficients from one source leave of other rows that they were not fitted to.
+
+    Args:
+        source, used: rows that coefficients come from, and rows that they predict.
+        shape, columns: of the law.
+
+    Returns:
+        Root mean square [rad], residuals ``(M,)`` [rad], and the coefficients given all rows of the source.
+    """
+    X, y = used.raw(shape, columns)
+    fold = source.blocks * _FOLDS // BLOCKS % 2
+    source.listen(shape, columns)
+    products = source.products(shape, columns)
+    left = np.empty_like(y)
+    for held_out in (0, 1):
+        rows = fold == held_out
+        left[rows] = (y - X @ products.without(np.unique(source.blocks[rows])).mean)[rows]
+    return float(np.sqrt(np.mean(left[source.use] ** 2))), left, products.solution()
 
 
 def with_error(fitted: FittedJoint, stretches: Sequence[Stretch], j: int, response: Array) -> JointLaw:

@@ -13,7 +13,7 @@ Read forwards it is fitted (``ideal_robot.command.fit``); evaluated ahead it is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
@@ -23,6 +23,7 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array
 from ideal_robot.command.filters import bilinear, from_rest
 from ideal_robot.command.motion import Motion
+from ideal_robot.command.servo import Servo
 from ideal_robot.command.smoothing import SMOOTHINGS, Smoothing
 from ideal_robot.command.terms import TERMS, Term
 from ideal_robot.errors import InputError
@@ -158,6 +159,7 @@ class JointLaw:
         deviation: root mean square of ``q_c - q`` about its mean on the held-out motion [rad].
         residual: what the law leaves of it there [rad].
         kind: of controller, in the field's words.
+        servo: the joint as PD control, where it is one; None elsewhere, and where no torque was measured.
     """
 
     shape: Shape
@@ -168,6 +170,7 @@ class JointLaw:
     deviation: float = float("nan")
     residual: float = float("nan")
     kind: str = ""
+    servo: Servo | None = None
 
     def coefficient(self, name: str) -> float:
         """Coefficient of a column by its name; 0 where the law has none."""
@@ -297,7 +300,8 @@ class CommandLaw:
             "joints": [{"kind": law.kind, **{key: getattr(law.shape, key) for key in _SHAPE},
                         "columns": [column.name for column in law.columns],
                         "coefficients": law.coefficients, "covariance": law.covariance, "error": law.error,
-                        "deviation": law.deviation, "residual": law.residual} for law in self.joints]}, digits=12)
+                        "deviation": law.deviation, "residual": law.residual,
+                        "servo": None if law.servo is None else asdict(law.servo)} for law in self.joints]}, digits=12)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> CommandLaw:
@@ -318,7 +322,7 @@ class CommandLaw:
                 error = np.insert(error, 3, [0.0, 0.0])
             joints.append(JointLaw(shape, tuple(Column.named(name) for name in own["columns"]),
                                    array(own["coefficients"]), array(own["covariance"]), error,
-                                   deviation, residual, str(own["kind"])))
+                                   deviation, residual, str(own["kind"]), Servo.from_dict(own.get("servo"))))
         return cls(tuple(joints), float(values["t_cycle"]), array(values["still"]), array(values["middle"]),
                    array(values["width"]), str(values["torque"]),
                    None if values["cascade"] is None else array(values["cascade"]), bool(values["leads"]))

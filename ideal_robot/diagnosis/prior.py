@@ -21,7 +21,7 @@ from scipy import linalg
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left
 from ideal_robot.diagnosis.system import System
-from ideal_robot.dynamics.consistent_inertias import parameter_scales
+from ideal_robot.dynamics.consistent_inertias import BODY, LINK, parameter_scales
 from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION
 from ideal_robot.effects.elasticity import turned_arm
@@ -35,8 +35,8 @@ from ideal_robot.model.parametrisation import friction_places, parameter_vector
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-LINK, BODY, ROTOR = 0.10, 0.05, 0.05
-"""By what arms of one type differ: each link as a whole, each of its ten parameters of its scale, rotors' inertias."""
+ROTOR = 0.05
+"""By what rotors' inertias of two arms of one type differ; links by ``LINK`` and ``BODY``."""
 ANOTHER_ARM = -float(np.log(20.0))
 """Logarithm of how likely another arm of the type is, against the same: who gives a model means it for the arm."""
 MISFIT = 0.5

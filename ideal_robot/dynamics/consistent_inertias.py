@@ -23,6 +23,9 @@ from ideal_robot.dynamics.base_parameters import BaseParameters
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.tolerances import LEAST_EIGENVALUE, NOMINAL_WEIGHT
 
+LINK, BODY = 0.10, 0.05
+"""By what links of one type of arm differ: each as a whole, and each of its ten parameters of its scale."""
+
 
 @dataclass(frozen=True)
 class Consistency:
@@ -47,13 +50,15 @@ def pseudo_inertia(link: Array) -> Array:
     return np.einsum("i,iab->ab", np.asarray(link, dtype=float), _BASIS)
 
 
-def consistent_parameters(base: BaseParameters, values: Array, covariance: Array, nominal: Array) -> Consistency:
+def consistent_parameters(base: BaseParameters, values: Array, covariance: Array, nominal: Array,
+                          rotors: Array | None = None) -> Consistency:
     """The physically possible full parameters closest to identified base parameters.
 
     Args:
         base: grouping of the parameters.
         values, covariance: identified base parameters ``(b,)``, and theirs ``(b, b)``; closeness is measured in it.
         nominal: full parameters ``(p,)``, physically possible, that what cannot be seen keeps near to.
+        rotors: what rotor inertias may differ by from theirs ``(n,)`` [kg m²]; the size of their links' if None.
 
     Raises:
         IdealRobotError: the solver finds no solution, or the covariance is none.
@@ -74,8 +79,12 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
                               "possible inertias can be near them; check masses, lengths and inertias of the robot "
                               "description for numbers that cannot be") from None
     # Unknowns are the full parameters in units of their scales.
-    A = np.vstack([whiten @ base.grouping * scale, np.sqrt(NOMINAL_WEIGHT) * np.eye(len(nominal))])
-    b = np.concatenate([whiten @ values, np.sqrt(NOMINAL_WEIGHT) * nominal / scale])
+    spread = scale.copy()
+    if rotors is not None:
+        spread[10 * n : 11 * n] = rotors
+    near = np.sqrt(NOMINAL_WEIGHT) * scale / spread
+    A = np.vstack([whiten @ base.grouping * scale, np.diag(near)])
+    b = np.concatenate([whiten @ values, near * nominal / scale])
     solved = _solve(A, b, scale, nominal, n)
     full = solved * scale
     exact = base.nearest_full(values, nominal)

@@ -122,7 +122,7 @@ class JointProblem:
             base_values = solution.value[: self._base.count]
             b = self._base.count
             consistency = consistent_parameters(self._base, base_values, solution.covariance[:b, :b],
-                                                self._prior.nominal)
+                                                self._prior.nominal, self._prior.rotors)
             if not any(law.loaded for law in laws):
                 break
             known = self._load(self._base.nearest_full(base_values, consistency.full))

@@ -306,11 +306,14 @@ class Prior:
         nominal: links, rotor inertias, offsets ``(p,)``, in units of the recorded torque.
         start: base parameters ``(b,)``.
         information: inverse covariance of the base parameters about ``start`` ``(b, b)``.
+        rotors: what rotor inertias may differ by from the nominal ones ``(n,)``: those of drive data by the size of a
+            link, others by the inertia that would take all of the torque.
     """
 
     nominal: Array
     start: Array
     information: Array
+    rotors: Array
 
     def padded(self, size: int) -> Array:
         """The information among ``size`` parameters of which nothing is known of those that follow."""
@@ -338,13 +341,15 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     unit = _gain(robot, signals) if amperes else 1.0
     scale = unit * parameter_scales(nominal, n)
     rotors = slice(10 * n, 11 * n)
+    as_links = scale[rotors].copy()
     scale[rotors] = np.maximum(scale[rotors], torque / np.maximum(np.std(acceleration, axis=0), 1e-6))
     weight = unit * G * np.cumsum(nominal[: 10 * n : 10][::-1])[::-1]
     scale[11 * n :] = np.where(robot.prismatic, np.maximum(weight, torque), _OFFSET * torque)
     covariance = (base.grouping * scale**2) @ base.grouping.T
     size = np.sqrt(np.diag(covariance))
     inverse = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size)
-    return Prior(unit * nominal, base.of(unit * nominal), np.asarray(inverse))
+    return Prior(unit * nominal, base.of(unit * nominal), np.asarray(inverse),
+                 np.where(robot.rotor_inertia > 0.0, as_links, scale[rotors]))
 
 
 def rotors_of(solution: Solution, base: BaseParameters, prior: Prior) -> tuple[np.ndarray, Array, Array]:

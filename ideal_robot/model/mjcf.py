@@ -6,7 +6,7 @@ MuJoCo is an optional extra and imported when it is asked for.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,9 +17,10 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
-from ideal_robot.command.law import CommandLaw, JointLaw
+from ideal_robot.command.servo import Servo
 from ideal_robot.command.words import described
 from ideal_robot.dynamics import base_parameters, link_parameters
+from ideal_robot.dynamics.consistent_inertias import BODY, LINK, consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.friction.laws import ViscousCoulomb
@@ -27,19 +28,27 @@ from ideal_robot.model.cascade import Cascade, helped
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import urdf_with_inertials
 from ideal_robot.model.parametrisation import coefficient_columns, friction_places, parameter_vector
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.tolerances import WRITTEN
 from ideal_robot.whole_file import write_text
 
 _SURE = 3.0
-"""Standard deviations by which a coefficient of the command's law is other than nothing."""
+"""Standard deviations by which what a controller adds is other than nothing."""
 ELSEWHERE = 2e-3
 """What joints of two descriptions of the same arm may be apart [m, or of a direction cosine]."""
 SLOW, FAST = 0.05, 1.0
 """Speeds between which a friction law is brought to MuJoCo's two terms, relative to the joint's limit …"""
 USUAL_SPEED = 2.0
 """… or to this where it has none [rad/s or m/s]."""
+VAGUE = 100.0
+"""What nothing is known of beforehand may be off by, over its size."""
+SHARE = 0.1
+"""Of gravity's torque, by which drives that add it may differ and count as alike: as masses of data sheets do."""
+EXPLICIT = 2.0
+"""Step times rate of decay up to which explicit steps are stable."""
+LATE = 1e-3
+"""Lateness of commands that is worth a word [s]: a step of MuJoCo's."""
 TURNS = 2.0 * np.pi
 """Limit of a joint that has none [rad]."""
 
@@ -118,27 +127,39 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
     names = _matched(list(model.kinematics.names)[1:], [joint.name for joint in spec.joints], like)
     frames = _frames(library, compiled, names, model.kinematics, like)
     comments: dict[str, str] = {}
+    rotors = rotor_std(model)
+    full = _bodies(model, _carried(library, compiled, names, frames), rotors)
     for j, name in enumerate(names):
         joint = spec.joint(name)
         body = joint.parent
-        _set_inertia(body, frames[j].act(model.dynamics.inertias[j + 1]))
+        _set_inertia(body, frames[j].act(pin.Inertia.FromDynamicParameters(full[10 * j : 10 * j + 10])))
         for fixed in _fixed_bodies(body):
             _set_inertia(fixed, pin.Inertia.Zero())
         friction, unit = friction_of(model, j), model.units("N m")[j]
-        joint.armature, joint.frictionloss = float(model.rotor_inertia[j]), friction.loss
+        joint.armature, joint.frictionloss = float(full[10 * model.n + j]), friction.loss
         joint.damping = _like(joint.damping, friction.damping)
         comments[name] = (f"frictionloss ± {friction.loss_std:.2g} {unit}, damping ± {friction.damping_std:.2g} "
-                          f"{unit} s, {_rotor_words(model, j)}")
-    law = model.command
-    if law is not None and law.leads:
-        for name, servo in _pd_actuators(library, spec, law, names).items():
-            comments[name] += (f", gain {servo.stiffness:.5g} ± {servo.stiffness_std:.2g}, of the speed "
-                               f"{servo.damping:.5g} ± {servo.damping_std:.2g}")
-    else:
+                          f"{unit} s, {_rotor_words(model, j, rotors[j])}")
+    servos = {name: servo for name, servo in zip(names, _servos(model), strict=True) if servo is not None}
+    if model.command is None or not model.command.leads:
         _actuators(library, spec, model, names)
+    _pd_actuators(library, spec, servos)
+    for name, servo in servos.items():
+        comments[name] += (f", gain {servo.stiffness:.5g} ± {servo.stiffness_std:.2g}, of the speed "
+                           f"{servo.damping:.5g} ± {servo.damping_std:.2g}")
+    cycle = _explicit_cycle(model)
+    if cycle is not None:
+        # A drive takes the rate of the cycle before; implicit steps take that of the next, which acts as an inertia.
+        spec.option.integrator = library.mjtIntegrator.mjINT_EULER
+        spec.option.timestep = min(spec.option.timestep, cycle)
+    if share := _gravity_share(_servos(model)):
+        for body in _moved_bodies(spec.joint(names[0]).parent):
+            body.gravcomp = share
+        for name in names:
+            spec.joint(name).actgravcomp = True
     spec.compile()
     write_text(path, _commented(spec.to_xml(), comments, model))
-    return tuple(_unsaid(model, spec, names))
+    return tuple(_unsaid(model))
 
 
 def _spec(library: Any, like: str | Path | None, model: Model) -> tuple[Any, Any]:
@@ -234,6 +255,45 @@ def _fitted(points: Array, onto: Array) -> pin.SE3:
     return pin.SE3(rotation, other - rotation @ middle)
 
 
+def _bodies(model: Model, carried: Array, rotors: Array) -> Array:
+    """Physically possible full parameters ``(12 n,)`` of the links without what other joints move.
+
+    Args:
+        model: identified; its links hold all that moves with them.
+        carried: full parameters ``(12 n,)`` of what other joints move.
+        rotors: standard deviations of the rotor inertias ``(n,)``.
+    """
+    if not np.any(carried):
+        return model.consistent
+    base, count = model.base, model.base.count
+    return consistent_parameters(base, model.base_values - base.of(carried), model.covariance[:count, :count],
+                                 model.consistent, rotors).full
+
+
+def _carried(library: Any, compiled: Any, names: list[str], frames: list[pin.SE3]) -> Array:
+    """Full parameters ``(12 n,)`` of what other joints than the identified ones move, where the file has them.
+
+    Args:
+        library, compiled: MuJoCo, and the description.
+        names, frames: the identified joints, and where their frames are in the bodies that carry them.
+    """
+    data, parameters = library.MjData(compiled), np.zeros(12 * len(names))
+    library.mj_forward(compiled, data)
+    carriers = {int(compiled.jnt_bodyid[compiled.joint(name).id]): j for j, name in enumerate(names)}
+    for body in range(1, compiled.nbody):
+        way = [body]
+        while way[-1] and way[-1] not in carriers:
+            way.append(int(compiled.body_parentid[way[-1]]))
+        if not way[-1] or not any(compiled.body_jntnum[step] for step in way[:-1]):
+            continue
+        j = carriers[way[-1]]
+        link = pin.SE3(data.xmat[way[-1]].reshape(3, 3), data.xpos[way[-1]]) * frames[j]
+        place = link.inverse() * pin.SE3(data.ximat[body].reshape(3, 3), data.xipos[body])
+        own = pin.Inertia(float(compiled.body_mass[body]), np.zeros(3), np.diag(compiled.body_inertia[body]))
+        parameters[10 * j : 10 * j + 10] += place.act(own).toDynamicParameters()
+    return parameters
+
+
 def _set_inertia(body: Any, inertia: pin.Inertia) -> None:
     body.explicitinertial = True
     body.mass = float(inertia.mass)
@@ -253,54 +313,97 @@ def _fixed_bodies(body: Any) -> Iterator[Any]:
             yield from _fixed_bodies(child)
 
 
+def _moved_bodies(body: Any) -> Iterator[Any]:
+    """A body and all that move with it."""
+    yield body
+    for child in body.bodies:
+        yield from _moved_bodies(child)
+
+
 def _like(old: Any, value: float) -> Any:
     """A value as MuJoCo's version has it: damping became a polynomial of the speed."""
     return value if np.isscalar(old) else [value, *([0.0] * (len(old) - 1))]
 
 
-def _rotor_words(model: Model, j: int) -> str:
+def rotor_std(model: Model) -> Array:
+    """Standard deviation of each rotor inertia ``(n,)`` [kg m²], of those that only show together with links, too.
+
+    The links are off their description as those of another arm of the type are, or by as much more as the identified
+    parameters are; of rotors nothing is known beforehand: ``(G Σ G' + C)`` is what the parameters differ by, with G the
+    grouping and C their covariance.
+    """
+    n, base = model.n, model.base
+    nominal = np.concatenate([link_parameters(model.kinematics), model.rotor_inertia, np.zeros(n)])
+    scale = parameter_scales(nominal, n)
+    spread = (BODY * scale) ** 2
+    links = np.zeros((n, len(nominal)))
+    for i in range(n):
+        links[i, 10 * i : 10 * i + 10] = LINK * nominal[10 * i : 10 * i + 10]
+    rotors = slice(10 * n, 11 * n)
+    spread[rotors] = (VAGUE * np.maximum(model.rotor_inertia, scale[rotors])) ** 2
+    spread[11 * n :] = (VAGUE * np.maximum(np.abs(model.offset), 1.0)) ** 2
+    prior = np.diag(spread) + links.T @ links
+    G, C = base.grouping, model.covariance[: base.count, : base.count]
+    off = model.base_values - base.of(nominal)
+    # The scale of the links' spread by which the parameters are as far off as they are.
+    for _ in range(3):
+        whole = G @ prior @ G.T + C
+        larger = max(1.0, float(off @ np.linalg.solve(whole, off)) / base.count)
+        bodies = np.ones(len(nominal))
+        bodies[: 10 * n] = np.sqrt(larger)
+        prior = bodies[:, None] * prior * bodies
+    whole = G @ prior @ G.T + C
+    left = prior - prior @ G.T @ np.linalg.solve(whole, G @ prior)
+    return np.sqrt(np.maximum(np.diag(left)[rotors], 0.0))
+
+
+def _rotor_words(model: Model, j: int, std: float) -> str:
     own = next((one for one in model.parameters if one.name == f"Ia_{j + 1}"), None)
-    if own is None or own.std == 0.0:
-        return "armature: of the consistent bodies, no deviation of its own"
-    return f"armature ± {own.std:.2g} {own.unit}"
+    if own is not None and own.std > 0.0:
+        return f"armature ± {own.std:.2g} {own.unit}"
+    return f"armature ± {std:.2g} {model.units('kg m²')[j]} by what the links' description leaves"
 
 
-@dataclass(frozen=True)
-class _Servo:
-    """PD control of a joint: torque per position error and per speed, with standard deviations."""
-
-    stiffness: float
-    stiffness_std: float
-    damping: float
-    damping_std: float
-
-    @classmethod
-    def of(cls, law: JointLaw) -> _Servo | None:
-        """The servo of a command's law ``q_c - q = τ / K + (D / K) q̇``, without delay; None where it is another law."""
-        names = [column.name for column in law.columns]
-        if "torque" not in names or law.shape.reset is not None or law.shape.smoothing != "none":
-            return None
-        std = np.sqrt(np.diag(law.covariance))
-        at, torque = names.index("torque"), law.coefficient("torque")
-        if torque <= _SURE * std[at]:
-            return None
-        speed = law.coefficient("velocity")
-        speed_std = float(std[names.index("velocity")]) if "velocity" in names else 0.0
-        stiffness, share = 1.0 / torque, float(std[at]) / torque
-        return cls(stiffness, stiffness * share, speed * stiffness,
-                   stiffness * float(np.hypot(speed_std, speed * share)))
+def _servos(model: Model) -> list[Servo | None]:
+    """Each joint as PD control; None where it is not, or nobody knows."""
+    return [None] * model.n if model.command is None else [own.servo for own in model.command.joints]
 
 
-def _pd_actuators(library: Any, spec: Any, law: CommandLaw, names: list[str]) -> dict[str, _Servo]:
-    """Gains of the joints behind PD control as the command's law has them; other joints keep what they have."""
-    servos = {name: servo for name, own in zip(names, law.joints, strict=True) if (servo := _Servo.of(own))}
+def _pd_actuators(library: Any, spec: Any, servos: dict[str, Servo]) -> None:
+    """Position actuators of joints behind PD control; those that were there are replaced."""
     for actuator in [actuator for actuator in spec.actuators if actuator.target in servos]:
         spec.delete(actuator)
     for name, servo in servos.items():
         actuator = spec.add_actuator(name=f"{name}_position", target=name, trntype=library.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0], actuator.biastype = servo.stiffness, library.mjtBias.mjBIAS_AFFINE
         actuator.biasprm[1:3] = [-servo.stiffness, -servo.damping]
-    return servos
+
+
+def _explicit_cycle(model: Model) -> float | None:
+    """Time from command to command [s] where steps of it, with the rate before each, are stable for all drives."""
+    command, servos = model.command, _servos(model)
+    if command is None or None in servos:
+        return None
+    data, low, high = model.dynamics.createData(), *(np.clip(limit, -np.pi, np.pi) for limit in (
+        model.kinematics.lowerPositionLimit, model.kinematics.upperPositionLimit))
+    damping = np.diag([servo.damping for servo in servos if servo is not None])
+    fastest = [np.linalg.eigvals(np.linalg.solve(pin.crba(model.dynamics, data, q), damping)).real.max()
+               for q in spread_postures(low, high)]
+    return command.t_cycle if command.t_cycle * float(np.max(fastest)) < EXPLICIT else None
+
+
+def _gravity_share(servos: Sequence[Servo | None]) -> float:
+    """Share of gravity's torque that all drives add alike; 0 where they do not, or are not all known.
+
+    MuJoCo compensates the weight of bodies, not the torque of joints: only a common share can be said.
+    """
+    known = [servo for servo in servos if servo is not None]
+    if len(known) < len(servos) or not known:
+        return 0.0
+    share, std = np.array([[servo.gravity, servo.gravity_std] for servo in known]).T
+    common = float(np.average(share, weights=1.0 / std**2))
+    alike = np.abs(share - common) <= np.maximum(_SURE * std, SHARE)
+    return common if np.all(alike) and common > _SURE / np.sqrt(np.sum(1.0 / std**2)) else 0.0
 
 
 def _actuators(library: Any, spec: Any, model: Model, names: list[str]) -> None:
@@ -341,7 +444,7 @@ def _commented(xml: str, comments: dict[str, str], model: Model) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
+def _unsaid(model: Model) -> Iterator[str]:
     """What an MJCF cannot say of a model."""
     for j, law in enumerate(model.friction.laws):
         off = friction_of(model, j).off
@@ -357,26 +460,40 @@ def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
     stiffness = model.known_stiffness
     if stiffness is not None and np.isfinite(stiffness).any():
         yield "the gears' stiffness: motor and link are one joint in MuJoCo"
-    command = model.command
-    if command is not None and command.leads:
-        for j, own in enumerate(command.joints):
-            servo, gravity = _Servo.of(own), own.coefficient("gravity")
-            if servo is None:
-                yield f"joint {j + 1}: its controller, {described(own, model.units('N m/rad')[j])}"
-            elif gravity < 0.0:
-                yield f"joint {j + 1}: its controller compensates {-100.0 * gravity * servo.stiffness:.0f} % of gravity"
-    elif model.controller is not None:
+    yield from _unsaid_of_controllers(model)
+    for effect in model.effects:
+        yield f"joint {effect.joint}: {effect.name}" if effect.joint else effect.name
+
+
+def _unsaid_of_controllers(model: Model) -> Iterator[str]:
+    """What an MJCF cannot say of the joint controllers."""
+    servos, command = _servos(model), model.command
+    leads = command is not None and command.leads
+    if model.controller is not None and not leads and None in servos:
         if np.any(model.controller.k_i > 0.0):
             yield "the integrators of the velocity loops"
         if words := helped(model.controller):
             yield f"what drives do by themselves: {words}"
         if np.any(model.controller.filter_time > 0.0) or model.controller.delay > 0.0:
             yield "the commands' low-pass and dead time"
-    for effect in model.effects:
-        yield f"joint {effect.joint}: {effect.name}" if effect.joint else effect.name
-    moving = [joint.name for joint in spec.joints if joint.name not in names]
-    if moving:
-        yield f"the other joints ({', '.join(moving)}) keep their masses, which the last link's hold as well"
+    if command is None:
+        return
+    share, rest = _gravity_share(servos), []
+    for j, (own, servo) in enumerate(zip(command.joints, servos, strict=True)):
+        if servo is None:
+            if leads:
+                yield f"joint {j + 1}: its controller, {described(own, model.units('N m/rad')[j])}"
+            continue
+        if servo.late > LATE:
+            yield f"joint {j + 1}: commands act {1e3 * servo.late:.2g} ms late"
+        if not share and servo.gravity > _SURE * servo.gravity_std:
+            yield f"joint {j + 1}: its controller compensates {100.0 * servo.gravity:.0f} % of gravity"
+        if servo.coriolis > _SURE * servo.coriolis_std:
+            rest.append(j + 1)
+    if rest:
+        yield (f"centrifugal and Coriolis torques that the drives of joint {', '.join(map(str, rest))} add; where they "
+               "matter, set data.qfrc_applied = data.qfrc_bias" + (" - data.qfrc_gravcomp" if share else
+               " less gravity's") + " of these joints before each step")
 
 
 def urdf_with_dynamics(model: Model) -> str:

@@ -102,6 +102,38 @@ def pd(q: Array, qd: Array, tau: Array) -> Array:
     return tau / np.array([900.0, 300.0]) + 0.03 * qd
 
 
+@cache
+def two_links() -> Model:
+    """The arm's model as a controller has it."""
+    with TemporaryDirectory() as folder:
+        return Model.nominal(robot(Path(folder)))
+
+
+def impedance(q: Array, qd: Array, tau: Array) -> Array:
+    """PD control that adds gravity and Coriolis torques; its rate is of the last two readings, its torque a cycle old."""
+    model, still = two_links(), np.zeros_like(q)
+    before = np.vstack([qd[:1], qd[:-1]])
+    added = model.inverse_dynamics(q, qd, still) - model.friction.torque(qd)
+    then = np.vstack([tau[1:], tau[-1:]])
+    return (then - added) / np.array([900.0, 300.0]) + 0.03 * 0.5 * (qd + before)
+
+
+@pytest.mark.parametrize(("law", "share"), [(pd, 0.0), (impedance, 1.0)])
+def test_gains_of_a_servo_and_what_it_adds_of_the_bodies_torques_are_recovered(law: Law, share: float) -> None:
+    for own, stiffness in zip(identified(law, 1).joints, (900.0, 300.0), strict=True):
+        servo = own.servo
+        assert servo is not None
+        assert abs(servo.stiffness - stiffness) < max(3.0 * servo.stiffness_std, 0.02 * stiffness)
+        assert servo.damping + servo.late * stiffness == pytest.approx((0.03 + 0.006) * stiffness, rel=0.03)
+        assert abs(servo.gravity - share) < max(3.0 * servo.gravity_std, 0.03)
+        assert abs(servo.coriolis - share) < max(3.0 * servo.coriolis_std, 0.03)
+
+
+def test_a_cascade_with_an_integrator_is_no_servo_and_torques_are_needed_for_one() -> None:
+    assert [own.servo for own in identified(cascade, 1).joints] == [None, None]
+    assert [own.servo for own in identified(pd, 1, torque=False).joints] == [None, None]
+
+
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_a_cascade_is_recovered(seed: int) -> None:
     for own, gain in zip(identified(cascade, seed).joints, GAINS, strict=True):

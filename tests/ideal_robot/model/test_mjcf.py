@@ -11,10 +11,13 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
+from ideal_robot.command.servo import Servo
+from ideal_robot.dynamics import base_parameters, link_parameters
+from ideal_robot.dynamics.consistent_inertias import LINK, consistent_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.friction.laws import ViscousCoulomb
-from ideal_robot.model.mjcf import _matched, arm_of_mjcf, export_mjcf, friction_of, urdf_with_dynamics
+from ideal_robot.model.mjcf import _matched, arm_of_mjcf, export_mjcf, friction_of, rotor_std, urdf_with_dynamics
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
@@ -124,31 +127,107 @@ def test_joints_behind_a_word_are_matched_beside_fingers_of_the_same_names(word:
         _matched(own, [*theirs, *("right/" + name for name in own)], None)
 
 
+def behind_servos(model: Model, servos: list[Servo | None]) -> Model:
+    """The model behind PD control; a joint without a servo has a cascade."""
+    laws = [JointLaw(Shape() if servo else Shape(reset=0.1), (Column("offset"), Column("velocity"), Column("torque")),
+                     np.array([0.0, 0.1, 1e-3]), 1e-12 * np.eye(3), np.full(PARTS, 1e-10), 0.02, 1e-3, "joint_pd",
+                     servo) for servo in servos]
+    ones = np.ones(model.n)
+    return dataclasses.replace(model, command=CommandLaw(tuple(laws), 0.001, 0.01 * ones, 0.0 * ones, ones))
+
+
+def servos_of(rng: np.random.Generator, n: int, share: float, std: float = 0.01) -> list[Servo | None]:
+    """Servos of random gains that add a share of gravity."""
+    K = rng.uniform(500.0, 5000.0, n)
+    return [Servo(k, 0.02 * k, 0.05 * k, 0.001 * k, share + std * float(rng.normal()), std, 0.0, 0.1) for k in K]
+
+
 @pytest.mark.parametrize("seed", range(3))
-def test_gains_of_pd_control_come_from_the_commands_law(seed: int, tmp_path: Path) -> None:
-    """A controller that is no cascade: its gains leave with their deviations, another joint's law is said."""
+def test_gains_of_servos_leave_with_their_deviations_and_another_joints_controller_is_said(seed: int, tmp_path: Path
+                                                                                          ) -> None:
     rng = np.random.default_rng(seed)
-    model = plain(Model.load(shipped_model("kr6")), rng)
-    K, D = rng.uniform(500.0, 5000.0, 6), rng.uniform(50.0, 500.0, 6)
-    columns = (Column("offset"), Column("velocity"), Column("torque"), Column("gravity"))
-    laws = [JointLaw(Shape(), columns, np.array([0.0, D[j] / K[j], 1.0 / K[j], -1.0 / K[j]]),
-                     np.diag([1e-12, 1e-10, (0.02 / K[j]) ** 2, 1e-12]), np.full(PARTS, 1e-10), 0.02, 1e-3, "joint_pd")
-            for j in range(6)]
-    other = int(rng.integers(6))
-    laws[other] = dataclasses.replace(laws[other], shape=Shape(reset=0.1))
-    law = CommandLaw(tuple(laws), 0.012, np.full(6, 0.01), np.zeros(6), np.ones(6))
+    servos, other = servos_of(rng, 6, 1.0), int(rng.integers(6))
+    model = behind_servos(plain(Model.load(shipped_model("kr6")), rng), [
+        None if j == other else servo for j, servo in enumerate(servos)])
     path = tmp_path / "arm.xml"
-    said = export_mjcf(dataclasses.replace(model, command=law), path)
+    said = export_mjcf(model, path)
     compiled = mujoco.MjModel.from_xml_path(str(path))
     assert compiled.nu == 5
     for i in range(compiled.nu):
-        j = int(compiled.actuator_trnid[i, 0])
-        np.testing.assert_allclose(compiled.actuator_gainprm[i, 0], K[j], rtol=1e-4)
-        np.testing.assert_allclose(compiled.actuator_biasprm[i, 1:3], [-K[j], -D[j]], rtol=1e-4)
+        servo = servos[int(compiled.actuator_trnid[i, 0])]
+        assert servo is not None
+        np.testing.assert_allclose(compiled.actuator_gainprm[i, 0], servo.stiffness, rtol=1e-4)
+        np.testing.assert_allclose(compiled.actuator_biasprm[i, 1:3], [-servo.stiffness, -servo.damping], rtol=1e-4)
     assert any(text.startswith(f"joint {other + 1}: its controller, P/PI cascade") for text in said)
-    assert any("compensates 100 % of gravity" in text for text in said)
+    assert sum("of gravity" in text for text in said) == 5
     deviations = [float(x) for x in re.findall(r"gain [\d.e+]+ ± ([\d.e+]+)", path.read_text())]
-    np.testing.assert_allclose(deviations, 0.02 * np.delete(K, other), rtol=0.06)
+    expected = [servo.stiffness_std for j, servo in enumerate(servos) if servo and j != other]
+    np.testing.assert_allclose(deviations, expected, rtol=0.06)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_drives_that_add_gravity_hold_the_arm_where_it_was_told(share: float, tmp_path: Path) -> None:
+    """In plain MuJoCo it sags by what they do not add over their stiffness."""
+    rng = np.random.default_rng(5)
+    servos, robot = servos_of(rng, 6, share, 1e-4), Robot.load("kr6")
+    model = behind_servos(plain(Model.load(shipped_model("kr6")), rng), servos)
+    model = dataclasses.replace(model, friction=PerJointFriction([ViscousCoulomb(np.array([[5.0], [0.0]]))] * 6))
+    path = tmp_path / "arm.xml"
+    export_mjcf(model, path)
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    data, told = mujoco.MjData(compiled), np.array(robot.home)
+    data.qpos[:] = told
+    data.ctrl[:] = told
+    for _ in range(6000):
+        mujoco.mj_step(compiled, data)
+    stiffness = np.array([servo.stiffness for servo in servos if servo])
+    needed = model.rigid_body(data.qpos[None], *np.zeros((2, 1, 6)))[0]
+    np.testing.assert_allclose(stiffness * (told - data.qpos), (1.0 - share) * needed, atol=0.02 * np.abs(needed).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rotors_that_show_only_with_links_take_what_links_leave(seed: int) -> None:
+    """A rotor of which no data sheet tells, of a joint whose links are as described but for what arms differ by."""
+    rng = np.random.default_rng(seed)
+    robot = Robot.load("kr6")
+    n, base = robot.n, base_parameters(robot.pinocchio)
+    links = link_parameters(robot.pinocchio)
+    own = links * (1.0 + LINK * np.repeat(rng.normal(size=n), 10))
+    rotors = rng.uniform(20.0, 60.0, n)
+    values = base.of(np.concatenate([own, rotors, np.zeros(n)]))
+    covariance = np.diag((1e-3 * (1.0 + np.abs(values))) ** 2)
+    nominal = np.concatenate([links, np.zeros(2 * n)])
+    full = consistent_parameters(base, values, covariance, nominal, np.full(n, 100.0)).full
+    friction = PerJointFriction([ViscousCoulomb(np.array([[5.0], [1.0]]))] * n)
+    wide = np.zeros((len(values) + 2 * n,) * 2)
+    wide[: len(values), : len(values)] = covariance
+    model = Model(Model.nominal(robot).arm, base, values, friction, wide, full, np.zeros(n))
+    off = (full[10 * n : 11 * n] - rotors) / rotor_std(model)
+    assert np.all(np.abs(off) < 3.5)
+    assert np.sqrt(np.mean(off**2)) < 2.0
+    assert np.all(np.abs(full[10 * n : 11 * n] - rotors)[3:] < 0.1 * rotors[3:])
+
+
+def test_what_other_joints_move_counts_once(tmp_path: Path) -> None:
+    """Fingers keep their masses, and all together asks for the torques of the model."""
+    rng = np.random.default_rng(7)
+    model = plain(Model.load(shipped_model("kr6")), rng)
+    spec = mujoco.MjSpec.from_string(without_meshes(model.arm.urdf))
+    finger = list(spec.joints)[-1].parent.add_body(name="finger", pos=[0.0, 0.02, 0.1])
+    finger.add_joint(name="finger_joint", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
+    finger.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0.0, 0.0], mass=2.0)
+    spec.compile()
+    given, path = tmp_path / "given.xml", tmp_path / "arm.xml"
+    given.write_text(spec.to_xml())
+    export_mjcf(model, path, like=given)
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert compiled.body("finger").mass[0] == pytest.approx(2.0)
+    data, robot = mujoco.MjData(compiled), Robot.load("kr6")
+    for q in rng.uniform(robot.q_min, robot.q_max, (10, 6)):
+        data.qpos[:6] = q
+        mujoco.mj_forward(compiled, data)
+        own = model.rigid_body(q[None], *np.zeros((2, 1, 6)))[0]
+        np.testing.assert_allclose(data.qfrc_bias[:6], own, atol=2e-3 * np.abs(own).max() + 0.5)
 
 
 def test_bad_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
