@@ -110,7 +110,7 @@ def two_links() -> Model:
 
 
 def impedance(q: Array, qd: Array, tau: Array) -> Array:
-    """PD control that adds gravity and Coriolis torques; its rate is of the last two readings, its torque a cycle old."""
+    """PD control that adds gravity and Coriolis torques; rates are of the last two readings, torques a cycle old."""
     model, still = two_links(), np.zeros_like(q)
     before = np.vstack([qd[:1], qd[:-1]])
     added = model.inverse_dynamics(q, qd, still) - model.friction.torque(qd)
