@@ -80,7 +80,14 @@ class Inspection(Summarised):
         r = self.recording
         size = f"{r.n} joints, {len(r.t)} samples, {r.duration:.4g} s, {self.rate:.4g} Hz"
         return [("recording", f"{r.source!r}: {size}"),
-                ("does not fit", self.refused or "; ".join(f.warning for f in self.contradictions) or "nothing")]
+                ("does not fit", self.refused or "; ".join([*(f.warning for f in self.contradictions), *self._beyond])
+                 or "nothing")]
+
+    @property
+    def _beyond(self) -> list[str]:
+        """Columns whose values are beyond the URDF's limits, in one sentence."""
+        beyond = [own.column for own in self.ranges if not own.fits]
+        return [f"values beyond the URDF's limits: {', '.join(beyond)}"] if beyond else []
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the samples as plain values."""

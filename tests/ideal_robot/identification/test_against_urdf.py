@@ -140,6 +140,10 @@ def test_inspection_says_it_and_what_was_read() -> None:
     assert not seen.usable
     assert seen.to_dict()["contradictions"][0]["joints"] == [2]
     assert inspect(good(), robot()).usable
+    assert dict(inspect(good(), robot()).summary())["does not fit"] == "nothing"
+    beyond = inspect(torques(lambda tau: tau * [1, 1, 1, 1, 1, 30]), robot())
+    assert not beyond.ranges[-1].fits
+    assert "tau_6" in dict(beyond.summary())["does not fit"]
     assert inspect(replace(good(), columns={**good().columns, "t": np.zeros(len(good().t))}), robot()).refused
 
 
