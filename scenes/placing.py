@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.size import mean_height, reach, shoulder_height
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
@@ -86,8 +86,10 @@ def place_line(scene: LineScene) -> Place:
     Of the scene, shape of the line and run-up count. Raises InputError where it fits nowhere.
     """
     robot = scene.arm
-    if shoulder_height(robot) < 0.0:
-        raise InputError(f"{robot.name} hangs below z = 0, which is the floor; let the URDF begin with a link on the "
+    highest = _highest(robot)
+    if shoulder_height(robot) < 0.0 or highest < LOWEST:
+        where = "hangs" if shoulder_height(robot) < 0.0 else f"has its tool no higher than {highest:.2f} m, thus"
+        raise InputError(f"{robot.name} {where} below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
     # Where the arm cannot move the camera about any line, the line is placed as if it could.
     for seeing, turn in product((True, False) if scene.calibration.by_moving else (False,), TURNS):
@@ -96,6 +98,12 @@ def place_line(scene: LineScene) -> Place:
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
                      file=robot.urdf, field="robot")
+
+
+def _highest(robot: Robot) -> float:
+    """Height of the tool where the arm holds it as high as hardly ever [m]."""
+    fk = robot.fk()
+    return float(np.quantile([fk(q).translation[2] for q in spread_postures(robot.q_min, robot.q_max)], 0.95))
 
 
 def _placed(scene: LineScene, robot: Robot, seeing: bool) -> Place | None:

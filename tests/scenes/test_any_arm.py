@@ -186,6 +186,15 @@ def test_an_arm_that_hangs_from_the_floor_is_told_what_its_urdf_lacks(tmp_path: 
         place_line(scene_for(hung(tmp_path, 0.0)))
 
 
+def test_an_arm_whose_tool_is_always_below_its_base_is_told_what_its_urdf_lacks(tmp_path: Path) -> None:
+    """A SCARA whose description begins where its table is screwed to its column."""
+    limit = '<limit lower="-2.3" upper="2.3" effort="100" velocity="4"/>'
+    low = SCARA.format(limit=limit, one=0.3, two=0.25, up=1, roll=0.0).replace("0 0 0.2", "0 0 0.02").replace(
+        "0.25 0 0.05", "0.25 0 0.0")
+    with pytest.raises(InputError, match="no higher than 0.01 m, thus below z = 0|no higher than 0.02 m"):
+        place_line(scene_for(written(tmp_path, low)))
+
+
 def test_a_line_out_of_reach_is_refused_with_a_place_where_one_fits(tmp_path: Path) -> None:
     scene = resized(scene_for(written(tmp_path, urdf(6))), 0.5, (3.0, -0.25, 0.2))
     with pytest.raises(InputError, match=r"fits with surface.origin = \[") as refused:
