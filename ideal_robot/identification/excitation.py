@@ -43,19 +43,22 @@ class Workspace:
     def of(cls, robot: Robot) -> Workspace:
         """The default workspace of an arm; in proportion to its reach where that is less than a metre.
 
-        The floor is never so high that the tool or a joint could not rise above it by half of the height it can reach:
-        a turntable has its tool on the floor.
+        The floor is never so high that the tool or a joint could not rise above it by half of the height it can reach,
+        or of what it can rise: a turntable has its tool on the floor, and that of a SCARA slides to below its base.
         """
         span, heights = _points(robot, spread_postures(robot.q_min, robot.q_max), 0.0)
         small = min(1.0, float(span.max()))
-        highest = float(heights.max(axis=0).min())
+        lowest_point = int(np.argmin(heights.max(axis=0)))
+        highest, lowest = float(heights[:, lowest_point].max()), float(heights[:, lowest_point].min())
         # An axis that slides stands on no column that its tool could hit.
         column = 0.0 if robot.prismatic[0] else small * cls.r_min
-        return cls(min(small * cls.z_min, highest - 0.5 * abs(highest)), column, small * cls.z_free)
+        rises = max(abs(highest), highest - lowest)
+        return cls(min(small * cls.z_min, highest - 0.5 * rises), column, small * cls.z_free)
 
     def on_the_way(self, robot: Robot) -> Workspace:
         """What a drive from home must keep off: wider where home lies outside, with the shapes in ``cell``.
 
+        An arm that stands upright at home comes down beside its own column: its shapes say what it must not touch.
         None of these where home itself touches something and nobody named a cell: the base plane of an arm that hangs
         or stands high is no floor. Raises InputError where the arm stands in the cell that was named.
         """
@@ -64,7 +67,11 @@ class Workspace:
         if touch is not None and self.cell is not None:
             raise InputError(f"the motion begins at the home posture, and there {touch}; give another [joints] home",
                              field="home", value=[round(float(angle), 3) for angle in robot.home])
-        return replace(self.widened(robot, robot.home[None]), cell=shapes if touch is None else None)
+        wider = self.widened(robot, robot.home[None])
+        if touch is not None:
+            return replace(wider, cell=None)
+        beside = float(_points(robot, robot.home[None], self.beyond)[0][0])
+        return replace(wider, r_min=min(wider.r_min, beside), cell=shapes)
 
     def widened(self, robot: Robot, q: Array) -> Workspace:
         """The workspace, wider where the arm has been already ``(N, n)`` [rad]: what was recorded touched nothing."""

@@ -204,8 +204,9 @@ def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list
         ends = [other for other in theirs if other == name] or [
             other for other in theirs if other.endswith(name) or (other and name.endswith(other))]
         if len(ends) != 1:
-            raise InputError(f"no joint, or more than one, is {name} of the model; its joints are "
-                             f"{', '.join(theirs)[:200]}", file=file, field="joint", value=name)
+            own_joints = f"its joints are {', '.join(theirs)[:200]}" if theirs else "it has no joints"
+            raise InputError(f"no joint, or more than one, is {name} of the model; {own_joints}", file=file,
+                             field="joint", value=name)
         found.append(ends[0])
     return found
 

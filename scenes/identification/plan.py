@@ -13,7 +13,13 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import FourierMotion, Workspace, approach, design_excitation
+from ideal_robot.identification.excitation import (
+    FourierMotion,
+    Workspace,
+    approach,
+    clear_of_obstacles,
+    design_excitation,
+)
 from ideal_robot.identification.program import Program, finite_limits, plan_two_step, require_within_limits
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
@@ -24,6 +30,8 @@ from sim.arm.world import World
 
 _TRIES = 40
 """How often a motion is looked for: to an arm of five joints, one of a dozen can be driven from its home posture."""
+_SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of slow reversals at the end of a motion that are tried where they leave the workspace."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -104,16 +112,19 @@ def _one(robot: Robot, method: str, rng: np.random.Generator, period: float, poi
         program = plan_two_step(robot, rng, points=points, workspace=workspace)
         return Plan(method, program.commands(robot.home, robot.t_ipo, robot), robot.t_ipo, program)
     motion = design_excitation(robot, rng, period=period, workspace=workspace)
-    return Plan(method, fourier_commands(robot, motion, robot.home, robot.t_ipo), robot.t_ipo, motion)
+    return Plan(method, fourier_commands(robot, motion, robot.home, robot.t_ipo, workspace.on_the_way(robot)),
+                robot.t_ipo, motion)
 
 
-def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: float) -> Array:
+def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: float,
+                     workspace: Workspace | None = None) -> Array:
     """Commands ``(N, n)`` [rad] from rest through one period of the motion and slow reversals about its end.
 
     Args:
         robot, motion: the arm, with its limits, and what it plays.
         start: joint angles at rest ``(n,)`` [rad].
         t_ipo: cycle of the commands [s].
+        workspace: in which the reversals stay, smaller where they would not; anywhere if None.
     """
     v_max, a_max = finite_limits(robot)
     t = np.asarray(np.arange(1, round(motion.period / t_ipo) + 1) * t_ipo, dtype=float)
@@ -121,13 +132,13 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
     first = motion.at(np.zeros(1))[0][0]
     hold = np.repeat(first[None], round(0.3 / t_ipo), axis=0)
     return np.concatenate([approach(start, first, t_ipo, v_max, a_max), hold, q, hold,
-                           _slow_reversals(q[-1], robot, t_ipo)])
+                           _slow_reversals(q[-1], robot, t_ipo, workspace)])
 
 
-def _slow_reversals(q0: Array, robot: Robot, t_ipo: float) -> Array:
+def _slow_reversals(q0: Array, robot: Robot, t_ipo: float, workspace: Workspace | None) -> Array:
     """Eight seconds of all joints about ``q0`` at up to eight per cent of their speed: what paths of tools look like.
 
-    A joint that has not the room for it moves less.
+    A joint that has not the room for it moves less, and all of them where they would leave the workspace.
     """
     duration = 8.0
     t = np.arange(1, round(duration / t_ipo) + 1) * t_ipo
@@ -135,7 +146,11 @@ def _slow_reversals(q0: Array, robot: Robot, t_ipo: float) -> Array:
     envelope = np.sin(np.pi * t / duration)[:, None] ** 2
     swing = envelope * (0.08 * finite_limits(robot)[0] / w) * np.sin(np.outer(t, w))
     room = np.maximum(np.minimum(robot.q_max - q0, q0 - robot.q_min), 1e-9)
-    return np.asarray(q0 + swing / np.maximum(np.abs(swing).max(axis=0) / room, 1.0))
+    swing = swing / np.maximum(np.abs(swing).max(axis=0) / room, 1.0)
+    for share in _SHARES:
+        if workspace is None or clear_of_obstacles(robot, q0 + share * swing, workspace).all():
+            return np.asarray(q0 + share * swing)
+    return np.asarray(q0 + swing)
 
 
 def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float], None] = lambda share: None,

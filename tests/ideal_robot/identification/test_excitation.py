@@ -21,8 +21,10 @@ from ideal_robot.identification.excitation import (
     design_excitation,
 )
 from ideal_robot.identification.program import plan_two_step, trapezoid
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.collisions import Shapes
+from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.signals.recording import Recording
+from tests.arms import SCARA, urdf, written
 from tests.sources import ROOT
 
 
@@ -172,6 +174,35 @@ OWN = ROOT / "examples" / "own_robot.urdf"
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15", "kr500"])
 def test_arms_of_a_metre_and_more_keep_the_usual_distances(name: str) -> None:
     assert Workspace.of(Robot.load(name)) == Workspace()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tool_of_a_scara_may_slide_to_below_its_base(seed: int, tmp_path: Path) -> None:
+    """Half of its stroke at least; the floor was half as high as the tool is at its highest."""
+    rng = np.random.default_rng(seed)
+    limit = '<limit lower="-2.3" upper="2.3" effort="100" velocity="4"/>'
+    robot = Robot.load(written(tmp_path, SCARA.format(limit=limit, one=rng.uniform(0.2, 0.4), two=rng.uniform(0.2, 0.4),
+                                                      up=1, roll=0.0).replace('lower="-0.2"', 'lower="-0.6"')))
+    stroke = float(robot.q_max[2] - robot.q_min[2])
+    highest = float(robot.fk()(np.array([0.0, 0.0, robot.q_max[2], 0.0])).translation[2])
+    assert Workspace.of(robot).z_min < highest - 0.45 * stroke
+
+
+@pytest.mark.parametrize("joints", [6, 7])
+def test_an_arm_that_stands_upright_at_home_comes_down_beside_its_column(joints: int, tmp_path: Path) -> None:
+    """Its tool is above the column there; that on the way down it is near the column's axis stopped it."""
+    plain = Robot.load(written(tmp_path, urdf(joints, mass=1.0)))
+    fk = plain.fk()
+    drawn = spread_postures(plain.q_min, plain.q_max, 4000)
+    upright = min(drawn, key=lambda q: float(np.hypot(*fk(q).translation[:2]) - fk(q).translation[2]))
+    robot = replace(plain, home=upright)
+    if Shapes(robot).first_touch(upright[None]) is not None:
+        pytest.skip("the drawn posture touches the arm itself")
+    way = Workspace.of(robot).on_the_way(robot)
+    beside = float(np.hypot(*fk(upright).translation[:2]))
+    assert way.r_min <= beside + 1e-9
+    assert way.cell is not None
+    assert clear_of_obstacles(robot, upright[None], way).all()
 
 
 def test_a_turntable_on_the_floor_gets_a_motion() -> None:
