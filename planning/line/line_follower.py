@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.robots.robot import Robot
 from planning import LineLostError, LineNeverSeenError
 from planning.follower import Phase
@@ -158,6 +159,10 @@ class LineFollower:
         self._front = -np.inf
         self._changed = False
         self._field_t = -np.inf
+
+    def led_by(self, feedforward: Feedforward) -> None:
+        """Plans from now on what the commands of a feedforward can make within the arm's acceleration."""
+        self.path.led_by(feedforward)
 
     @property
     def q_start(self) -> Array:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array, held, interpolated
 from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.command_answer import CommandAnswer
 from ideal_robot.robots.robot import Robot
+from planning.path.commanded import Commanded
 from planning.path.joint_path import JointPath
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
@@ -46,8 +49,8 @@ def planned_cycles(n_d: int, t_ipo: float, spare: float = SPARE) -> int:
 class Smoother:
     """The minimum above, solved beforehand for several cutoff frequencies; at run time one matrix product.
 
-    The stiffest cutoff whose plan does not correct with more than ``acceleration`` is taken: small changes of the
-    estimate are followed quickly, a line that was just found is approached gently.
+    The stiffest cutoff whose plan does not correct with more than ``acceleration``, and that the loop can be asked for,
+    is taken: small changes of the estimate are followed quickly, a line that was just found is approached gently.
 
     Args:
         samples, t_ipo: cycles of the plan, and how long one is [s].
@@ -60,19 +63,22 @@ class Smoother:
         self._laws = _laws(samples, t_ipo, cutoff)
         self._bend_at = np.maximum(np.arange(samples - 1) - 1, 0)
 
-    def plan(self, state: Array, estimate: Array) -> Array:
+    def plan(self, state: Array, estimate: Array, possible: Callable[[Array, Array], bool] | None = None) -> Array:
         """Positions, velocities and accelerations of the next cycles ``(3, samples, directions)`` [m, m/s, m/s²].
 
         Args:
             state: the same at the last instant that stays ``(3, directions)``.
             estimate: the estimated deviation at the ``samples`` following cycles ``(samples, directions)`` [m].
+            possible: whether the loop can be asked for a plan, of its accelerations and the estimate's own
+                ``(samples - 1, directions)`` [m/s²]; every plan if None.
         """
         stacked = np.concatenate([state, estimate])
         rise = estimate[1:] - estimate[:-1]
         bend = (rise[1:] - rise[:-1])[self._bend_at] / self._t**2
         for law in self._laws:
             planned = (law @ stacked).reshape(3, self.samples, -1)
-            if np.abs(planned[2, :-1] - bend).max() <= self._acceleration:
+            within = np.abs(planned[2, :-1] - bend).max() <= self._acceleration
+            if within and (possible is None or possible(planned[2, :-1], bend)):
                 break
         return np.asarray(planned)
 
@@ -189,6 +195,20 @@ class DesiredPath:
         self._q = self.q_reference.copy()
         self._plan = np.zeros((3, len(table), directions))
         self._planned_to = self._solved_to = self._ever_solved = -1
+        self._commanded: Commanded | None = None
+
+    def led_by(self, feedforward: Feedforward) -> None:
+        """Plans from now on what the commands of a feedforward can make within the arm's acceleration."""
+        robot, table = self._kinematics.robot, self._table
+        answer = CommandAnswer.of(feedforward, robot, table.q[len(table) // 2])
+        accelerations = np.gradient(np.gradient(table.q, self._T, axis=0), self._T, axis=0)
+        self._commanded = Commanded(answer, robot.a_max, accelerations, self._per_metre())
+
+    def _per_metre(self) -> Array:
+        """Change of the joint angles with each direction's deviation at every cycle ``(K, n, directions)`` [rad/m]."""
+        frames, away = self._table.frames, self._kinematics.away
+        return np.stack([[away(q, way) for q, way in zip(self._table.q, ways, strict=True)]
+                         for ways in (frames.normal, frames.up)[: self._plan.shape[2]]], axis=2)
 
     def cycle(self, t: float) -> int:
         """Number of the cycle at ``t`` [s]; behind the end of the tables everything rests."""
@@ -226,7 +246,12 @@ class DesiredPath:
             # Cycles without a call of ``horizon``: the deviation stayed where it was.
             self._plan[0, self._planned_to + 1 : keep + 1] = self._plan[0, max(self._planned_to, 0)]
         coming = slice(keep + 1, keep + 1 + self.samples)
-        self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate(self.s[coming]))
+        possible: Callable[[Array, Array], bool] | None = None
+        if (commanded := self._commanded) is not None:
+            before = commanded.answer.before
+            past = held(self._plan[2, max(k - before, 0) : coming.start], before=max(before - k, 0))
+            possible = partial(commanded.possible, k, past)
+        self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate(self.s[coming]), possible)
         self._planned_to = keep + self.samples
         self._solved_to = min(self._solved_to, keep)
 

@@ -85,7 +85,9 @@ def line_task(known: KnownLine, method: SceneMethod, model: Model | None, gains:
     if twice := next((name for i, name in enumerate(names) if name in names[:i]), None):
         raise InputError("two sensors have that name; give each its own", field="sensors", value=twice)
     own = [OwnSensor(sensor, follower, log) for sensor in sensors]
-    task = Task(follower, [camera, *own], method, method.following(setting), FreeArm(known.robot, model), log, baseline)
+    feedforward = method.following(setting)
+    follower.led_by(feedforward)
+    task = Task(follower, [camera, *own], method, feedforward, FreeArm(known.robot, model), log, baseline)
     return Configured(task, camera=camera)
 
 
