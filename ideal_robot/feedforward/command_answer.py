@@ -27,7 +27,7 @@ class CommandAnswer(NamedTuple):
 
     Of a command that is the path they are 1 at once; behind a lag :math:`\tau` they are those of
     :math:`\delta q_d + \tau \, \delta \dot q_d`, so that a command's acceleration is the path's and :math:`\tau` times
-    its jerk; a delay moves them ahead and asks for no more.
+    its jerk; a delay moves them ahead and asks for no more. Each joint's answer is that to its own change.
 
     Attributes:
         weights: ``(L, n)``.
