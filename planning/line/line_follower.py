@@ -161,7 +161,7 @@ class LineFollower:
         self._field_t = -np.inf
 
     def led_by(self, feedforward: Feedforward) -> None:
-        """Plans from now on what the commands of a feedforward can make within the arm's acceleration."""
+        """Corrects from now on with what the commands of a feedforward can make within the arm's acceleration."""
         self.path.led_by(feedforward)
 
     @property

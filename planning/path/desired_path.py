@@ -198,11 +198,10 @@ class DesiredPath:
         self._commanded: Commanded | None = None
 
     def led_by(self, feedforward: Feedforward) -> None:
-        """Plans from now on what the commands of a feedforward can make within the arm's acceleration."""
+        """Corrects from now on with what the commands of a feedforward can make within the arm's acceleration."""
         robot, table = self._kinematics.robot, self._table
         answer = CommandAnswer.of(feedforward, robot, table.q[len(table) // 2])
-        accelerations = np.gradient(np.gradient(table.q, self._T, axis=0), self._T, axis=0)
-        self._commanded = Commanded(answer, robot.a_max, accelerations, self._per_metre())
+        self._commanded = Commanded(answer, robot.a_max, self._per_metre())
 
     def _per_metre(self) -> Array:
         """Change of the joint angles with each direction's deviation at every cycle ``(K, n, directions)`` [rad/m]."""
