@@ -6,8 +6,10 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -17,7 +19,8 @@ import typer
 
 from ideal_robot.arrays import Array
 from ideal_robot.egm import EgmRobot
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.fci import FciRobot
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.interfaces import LinkSettings
 from ideal_robot.robots.address import Address
@@ -30,13 +33,36 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.egm_controller import MCI_ERROR, RAPID_STOPPED, EgmController
 from sim.devices.ros2_arm import Ros2Arm
-from studies.other_arms import ANSWER_WITHIN, CRX_DATA, CRX_HOME, answered_cycle, crx_urdf
+from studies.other_arms import (
+    ANSWER_WITHIN,
+    CRX_DATA,
+    CRX_HOME,
+    FR3_GAINS,
+    FR3_HOME,
+    answered_cycle,
+    answered_milliseconds,
+    crx_urdf,
+    write_fr3,
+)
 from studies.report import head, row
+from studies.slow_clock import slower
 
 BEGINS = 60
 """Cycle of the path in which a fault begins."""
 _SHARE = 0.02
 """Of messages, where some are lost or come twice."""
+LATE = "2 % of the states 30 ms late"
+"""The fault that a clock decides."""
+_SLOWED = 5.0
+"""How many times as long every second takes there."""
+_LATE = 0.03
+"""By how much messages are late [s]."""
+_RESTART = 0.3
+"""Time that a node is away which restarts [s]."""
+_MESSAGE = 0.02
+"""Longer than one takes to be published [s]."""
+_PATIENCE = 10.0
+"""How long a controller is waited for [s]."""
 _LATER = 1.0
 """When it is looked where the arm has ended [s]."""
 Where = Callable[[Any], Array]
@@ -45,14 +71,15 @@ Fault = Callable[[Any, int, np.random.Generator], None]
 """What is done to a controller before a cycle of the path, from ``BEGINS`` on counted from 0."""
 
 
-def link_faults(interfaces: Annotated[str, typer.Option(help="With commas between.")] = "fanuc,egm,ros2",
+def link_faults(interfaces: Annotated[str, typer.Option(help="With commas between.")] = "fci,fanuc,egm,ros2",
                 seed: int = 1) -> None:
-    """Faults of FANUC's emulator, of EGM and of ROS 2 while a path is played, one each: noticed, how late, the end.
+    """Faults of FCI, FANUC, EGM and ROS 2 before and while a path is played, one each: noticed, how late, the end.
 
     A controller begins a cycle when the one before was answered: times are the controller's, of silence those of this
     computer; where the program itself brings the arm to rest, the way to rest is in them. The largest acceleration is
     that of the commands in force at the controller, over the arm's limit, with the hold of a controller that misses
-    one. Where the arm ends a second later is its distance from the path.
+    one. Where the arm ends a second later is its distance from the path. What is wrong from the beginning is noticed
+    before anything moves. Late messages need a clock, which is slower than this computer's.
 
     Args:
         interfaces: which ones.
@@ -63,17 +90,39 @@ def link_faults(interfaces: Annotated[str, typer.Option(help="With commas betwee
         raise InputError(f"expected of {', '.join(FAULTS)}", field="--interfaces", value=unknown[0])
     head("interface", "fault", "said", "after [ms]", "acceleration", "from the path [mrad]", "at rest")
     for name in interfaces.split(","):
-        for fault in FAULTS[name][2]:
+        for fault in (*FAULTS[name][2], *FROM_THE_BEGINNING.get(name, ())):
             row(name, fault, *play_link(name, fault, seed))
 
 
 def play_link(name: str, fault: str, seed: int = 1) -> list[str]:
     """Cells of a row of ``link_faults``: what was said, how late, acceleration, distance from the path, at rest."""
     # Nobody else on this computer shall be heard.
-    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+    os.environ["ROS_DOMAIN_ID"] = str(_domain())
     arms, where, faults = FAULTS[name]
-    with arms() as (link, controller):
+    if (wrong := FROM_THE_BEGINNING.get(name, {}).get(fault)) is not None:
+        with arms(**wrong) as (link, controller):
+            return _refused(link, controller, where)
+    with slower(_SLOWED) if fault == LATE else nullcontext(), arms(**{"timed": True} if fault == LATE else {}) as (
+            link, controller):
+        link.connect(_PATIENCE)
         return _played(link, controller, faults[fault], np.random.default_rng(seed), where)
+
+
+def _domain() -> int:
+    """``ROS_DOMAIN_ID`` of this process's own."""
+    return 1 + os.getpid() % 100
+
+
+def _refused(link: LinkedRobot, controller: Any, where: Where) -> list[str]:
+    """Cells of a row of what is refused before anything moves."""
+    begun, said = where(controller), "nothing"
+    try:
+        link.connect(_PATIENCE)
+    except IdealRobotError as error:
+        said = str(error)
+    time.sleep(_LATER)
+    away = float(np.max(np.abs(where(controller) - begun)))
+    return [" ".join(said.split()), "before", "0.00", f"{1e3 * away:.1f}", "yes" if away < 1e-4 else "no"]
 
 
 def _played(link: LinkedRobot, controller: Any, begin: Fault, rng: np.random.Generator, where: Where) -> list[str]:
@@ -81,13 +130,15 @@ def _played(link: LinkedRobot, controller: Any, begin: Fault, rng: np.random.Gen
     T, home = link.t_ipo, link.commanded.copy()
     u = np.clip(np.arange(round(2.4 / T)) * T / 2.2, 0.0, 1.0)
     q_d = home + 0.25 * np.sin(np.pi * u**3 * (10 - 15 * u + 6 * u**2))[:, None] ** 2
-    received, heard, before = link.receive, list[RobotState](), dict[str, int]()
+    received, heard, before, arrived = link.receive, list[RobotState](), dict[str, int](), link.arrived
 
     def receive() -> RobotState:
+        nonlocal arrived
         if len(heard) >= BEGINS:
             before.update(asdict(link.counts) if len(heard) == BEGINS else {})
             begin(controller, len(heard) - BEGINS, rng)
         heard.append(received())
+        arrived = link.arrived
         return heard[-1]
 
     link.receive = receive  # type: ignore[method-assign]
@@ -95,7 +146,7 @@ def _played(link: LinkedRobot, controller: Any, begin: Fault, rng: np.random.Gen
     said, after = run.failure or "nothing", ""
     if run.failure is not None:
         # By the controller's clock as far as it was heard, by this computer's from then on.
-        after = f"{1e3 * (heard[-1].t - heard[BEGINS - 1].t + time.perf_counter() - link.arrived):.0f}"
+        after = f"{1e3 * (heard[-1].t - heard[BEGINS - 1].t + time.perf_counter() - arrived):.0f}"
     elif counts := {name: more for name, value in run.counts.items()
                     if (more := value - before.get(name, 0)) and name not in ("cycles", "partial")}:
         said = "counted: " + ", ".join(f"{value} {name}" for name, value in counts.items())
@@ -132,7 +183,6 @@ def _fanuc() -> Iterator[tuple[LinkedRobot, Any]]:
         thread.start()
         try:
             with StreamMotionRobot(robot, "127.0.0.1", port=controller.sm_port, rmi_port=controller.rmi_port) as link:
-                link.connect(20.0)
                 yield link, controller
         finally:
             ended.set()
@@ -179,12 +229,11 @@ def _kr6() -> Iterator[SimulatedArm]:
 def _egm() -> Iterator[tuple[LinkedRobot, Any]]:
     with _kr6() as arm, EgmRobot(arm.robot, port=0) as link:
         controller = EgmController(arm, link.address, timeout=ANSWER_WITHIN)
-        controller.disturbance = lambda cycle, message: [message] * _Wire.copies.pop(0) if _Wire.copies else [message]
-        _Wire.copies.clear()
+        controller.disturbance = lambda cycle, message: [message] * len(_Wire.next())
+        _Wire.delays.clear()
         thread = threading.Thread(target=controller.run, daemon=True)
         thread.start()
         try:
-            link.connect(20.0)
             yield link, controller
         finally:
             controller.stop()
@@ -192,26 +241,47 @@ def _egm() -> Iterator[tuple[LinkedRobot, Any]]:
 
 
 class _Wire:
-    """How often the coming messages go out."""
+    """When each of the coming messages goes out, how late each time [s]."""
 
-    copies: list[int] = []  # noqa: RUF012
+    delays: list[list[float]] = []  # noqa: RUF012
+
+    @classmethod
+    def next(cls) -> list[float]:
+        return cls.delays.pop(0) if cls.delays else [0.0]
 
 
 @contextmanager
-def _ros2() -> Iterator[tuple[LinkedRobot, Any]]:
+def _ros2(timed: bool = False, **wrong: Any) -> Iterator[tuple[LinkedRobot, Any]]:
+    """Where ``timed``, cycles have a length, and do not end with an answer; ``wrong`` as of ``Ros2Arm``."""
     with _kr6() as arm:
-        controllers = Ros2Arm(arm, delivered=lambda cycle: [0.0] * _Wire.copies.pop(0) if _Wire.copies else [0.0])
-        _Wire.copies.clear()
-        thread = threading.Thread(target=controllers.play, kwargs={"slowed": 0.0}, daemon=True)
+        controllers = Ros2Arm(arm, delivered=lambda cycle: _Wire.next(), **wrong)
+        _Wire.delays.clear()
+        thread = threading.Thread(target=controllers.play, kwargs={"slowed": float(timed)}, daemon=True)
         thread.start()
         try:
             with opened(Address.parse("ros2://"), arm.robot, LinkSettings()) as link:
-                link.connect(20.0)
                 yield link, controllers
         finally:
             controllers.stop()
             thread.join(5.0)
             controllers.close()
+
+
+def _dies(controllers: Any) -> None:
+    """The publisher of joint states leaves the graph; the controllers' cycles go on without answers."""
+    controllers.silent, controllers.timeout = True, controllers.arm.t_ipo
+    time.sleep(_MESSAGE)
+    controllers.node.destroy_publisher(controllers.states)
+
+
+def _restarts(controllers: Any) -> None:
+    _dies(controllers)
+
+    def anew() -> None:
+        controllers.publish_states()
+        controllers.silent = False
+
+    threading.Timer(_RESTART, anew).start()
 
 
 def _second_publisher(controllers: Any) -> None:
@@ -221,10 +291,139 @@ def _second_publisher(controllers: Any) -> None:
 
 
 def _sends(copies: int, times: int = 1) -> Callable[[Any], None]:
-    return lambda controller: _Wire.copies.extend([copies] * times)
+    return lambda controller: _Wire.delays.extend([[0.0] * copies] * times)
 
 
-FAULTS: dict[str, tuple[Callable[[], Any], Where, dict[str, Fault]]] = {
+def _late(controllers: Any) -> None:
+    """A message that those behind it overtake."""
+    _Wire.delays.append([_LATE])
+
+
+# The FR3 of ``franky-sim``, whose controller has no reflexes: what a client is told of one is sent.
+
+_HOST, _CYCLE = "127.0.0.79", 0.008
+_JOINT_REFLEX = 6
+"""Place of a collision among libfranka's errors."""
+
+
+class _Franka:
+    """What is done to the simulated controller between two milliseconds.
+
+    Args:
+        server: of ``franky-sim``, with one robot.
+    """
+
+    def __init__(self, server: Any) -> None:
+        (self._robot,) = server.robot_servers
+        self._lost, self._send = 0, self._robot.send_state
+        self._robot.send_state = self._send_state
+
+    def lose(self, states: int) -> None:
+        """So many of the coming states are lost."""
+        self._lost = states
+
+    def _send_state(self) -> None:
+        if self._lost:
+            self._lost -= 1
+            # A client tells the time by the states' numbers.
+            self._robot._FrankaServer__message_id += 1
+        else:
+            self._send()
+
+    def stop(self, why: str) -> None:
+        """The motion is aborted as libfranka's protocol says it: the mode, the errors, a response to the Move command.
+
+        The simulator answers the client's StopMove with another response, for which libfranka waits.
+        """
+        from franky_sim.franka_robot_protocol import BaseCommand, MoveStatus, RobotCommand, RobotMode
+
+        robot, state_of = self._robot, type(self._robot).robot_state.fget
+        errors = tuple(why == "kReflexAborted" and i == _JOINT_REFLEX for i in range(41))
+        mode = RobotMode.kReflex if any(errors) else RobotMode.kUserStopped
+        robot._get_state_bytes = lambda: state_of(robot).replace(
+            robot_mode=mode, errors=errors, reflex_reason=errors).pack_state()
+        robot.stop_motion(send_preemption_signal=False)
+        self._send()
+        BaseCommand.send_response(robot._tcp_socket, RobotCommand.kMove, robot.current_motion_id, MoveStatus[why])
+
+    def q(self) -> list[float]:
+        """Where the arm is in truth [rad]."""
+        return list(self._robot.robot.inner_state.q)
+
+
+def _serve_franka(pipe: Connection) -> None:
+    """Serves the FR3; words that come through the pipe are what is to be done, and are answered."""
+    from franky_sim import SimulationServer
+    from franky_sim.mujoco_simulator import MujocoSimulator
+
+    with MujocoSimulator() as sim:
+        sim.add_robot(initial_q=FR3_HOME, kv=FR3_GAINS)
+        with SimulationServer(sim, [_HOST]) as server:
+            controller = _Franka(server)
+
+            def told() -> bool:
+                while pipe.poll():
+                    word, *values = pipe.recv()
+                    if word == "end":
+                        return True
+                    pipe.send(getattr(controller, word)(*values))
+                return False
+
+            pipe.send("ready")
+            answered_milliseconds(server, ended=told)
+
+
+class _Remote:
+    """The FR3's controller in a process of its own: libfranka waits for it without letting other threads run.
+
+    Args:
+        pipe: to that process.
+
+    Attributes:
+        timeout: is its own.
+    """
+
+    timeout = ANSWER_WITHIN
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+
+    def asked(self, *words: Any) -> Any:
+        """What the controller answers."""
+        self._pipe.send(words)
+        return self._pipe.recv()
+
+
+@contextmanager
+def _fci() -> Iterator[tuple[LinkedRobot, Any]]:
+    context = get_context("spawn")
+    pipe, other = context.Pipe()
+    process = context.Process(target=_serve_franka, args=(other,), daemon=True)
+    process.start()
+    try:
+        pipe.recv()
+        with TemporaryDirectory() as folder:
+            robot = replace(Robot.load(write_fr3(Path(folder))), t_ipo=_CYCLE)
+            with FciRobot(robot, _HOST) as link:
+                yield link, _Remote(pipe)
+    finally:
+        pipe.send(("end",))
+        process.join(5.0)
+        process.terminate()
+
+
+def _aborted(why: str) -> Callable[[Any], None]:
+    return lambda controller: controller.asked("stop", why)
+
+
+FAULTS: dict[str, tuple[Callable[..., Any], Where, dict[str, Fault]]] = {
+    "fci": (_fci, lambda c: np.array(c.asked("q")), {
+        "nothing": _once(lambda c: None),
+        "2 % of the cycles lose a state": _often(lambda c: c.asked("lose", 1)),
+        "reflex: collision": _once(_aborted("kReflexAborted")),
+        "user stop": _once(_aborted("kEmergencyAborted")),
+        "silence": _once(lambda c: c.asked("lose", 10**9)),
+    }),
     "fanuc": (_fanuc, lambda c: np.radians(c.plant.snapshot_deg()[0][:6]), {
         "nothing": _once(lambda c: None),
         "2 % of the status lost": _often(lambda c: c.sm.inject_seq_gap(1)),
@@ -248,7 +447,19 @@ FAULTS: dict[str, tuple[Callable[[], Any], Where, dict[str, Fault]]] = {
         "2 % doubled": _often(_sends(2)),
         "a second publisher of commands": _once(_second_publisher),
         "time stands": _once(lambda c: setattr(c, "frozen", True)),
+        LATE: _often(_late),
         "the publisher falls silent": _once(lambda c: setattr(c, "silent", True)),
+        "the publisher dies": _once(_dies),
+        "its node restarts within 0.3 s": _once(_restarts),
     }),
 }
 """Faults by interface."""
+FROM_THE_BEGINNING: dict[str, dict[str, dict[str, Any]]] = {
+    "ros2": {
+        "quality of service: controllers want what was sent before": {"durable": True},
+        "another ROS_DOMAIN_ID": {"domain": _domain() + 1},
+        "joints of other names": {"prefix": "left_"},
+        "angles in degrees": {"degrees": True},
+    },
+}
+"""What is otherwise from the beginning, by interface: arguments of its arm."""

@@ -174,7 +174,7 @@ def _serve_fr3(host: str, slowed: str, start: str = "", states: str = "") -> Non
             print("ready", flush=True)
             if float(slowed):
                 _timed_milliseconds(server, float(slowed), tell)
-            _answered_milliseconds(server, tell)
+            answered_milliseconds(server, tell)
 
 
 Tell = Callable[[int, Any], None]
@@ -234,8 +234,15 @@ def _timed_milliseconds(server: Any, slowed: float, tell: Tell) -> None:
                 due = time.perf_counter()
 
 
-def _answered_milliseconds(server: Any, tell: Tell) -> None:
-    """Milliseconds of ``franky-sim``, each of which begins when the one before was answered."""
+def answered_milliseconds(server: Any, tell: Tell = lambda k, robot: None,
+                          ended: Callable[[], bool] = lambda: False) -> None:
+    """Milliseconds of ``franky-sim``, each of which begins when the one before was answered.
+
+    Args:
+        server: its ``SimulationServer`` with one robot.
+        tell: see ``Tell``.
+        ended: whether that was the last one.
+    """
     (robot,) = server.robot_servers
     handled, answers = robot._handle_udp_command, []
 
@@ -254,6 +261,8 @@ def _answered_milliseconds(server: Any, tell: Tell) -> None:
         server.sim.step()
         robot.send_state()
         tell(k, robot.robot)
+        if ended():
+            return
 
 
 def _serve_crx(slowed: str) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,27 @@ def environment(folder: Path, slowed: float) -> dict[str, str]:
 def begin() -> None:
     """Slows the clock of this process, where its environment says so."""
     slowed = float(os.environ.get(VARIABLE, "1"))
-    if slowed == 1.0:
-        return
+    if slowed != 1.0:
+        _slow(slowed)
 
+
+@contextmanager
+def slower(slowed: float) -> Iterator[None]:
+    """Within the block the clock of this process is slower, of all its threads.
+
+    Args:
+        slowed: how many times as long every second takes.
+    """
+    clocks: Any = time
+    before = clocks.perf_counter, clocks.monotonic, clocks.sleep
+    _slow(slowed)
+    try:
+        yield
+    finally:
+        clocks.perf_counter, clocks.monotonic, clocks.sleep = before
+
+
+def _slow(slowed: float) -> None:
     def slow(clock: Callable[[], float]) -> Callable[[], float]:
         return lambda: clock() / slowed
 

@@ -45,8 +45,11 @@ _SAID = {
     "tau_j_range_violation": "a torque sensor is beyond its range: less load or acceleration",
     "power_limit_violation": "the motors take too much power: a slower path",
     "instability_detected": "the arm oscillates: check the load that is set",
+    "User Stop pressed": "the user stop is pressed: release it",
 }
 """What the controller's reflexes say, and what helps; others are said by their names."""
+_SILENT = "UDP receive: Timeout"
+"""What the library says where no state comes: nobody knows then what the arm does."""
 _MODES = {"UserStopped": "the user stop is pressed: release it", "Guiding": "the arm is being guided by hand",
           "Reflex": "the arm has stopped by a reflex: recover it in Desk",
           "Other": "brakes are closed, or FCI is not active"}
@@ -189,6 +192,9 @@ class FciRobot(LinkedRobot):
         try:
             return call()
         except (self._library.FrankaException, RuntimeError) as error:
+            if _SILENT in _line(error):
+                raise FciError("the controller is silent; check cable and power, and that FCI is activated in Desk "
+                               f"({_line(error)})") from error
             raise FciError(f"the controller has stopped the arm: {said(_line(error))}") from error
 
     def _state(self, state: Any) -> RobotState:

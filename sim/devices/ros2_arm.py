@@ -55,6 +55,7 @@ class Ros2Arm:
         durable: whether the controllers ask for publishers that keep what was sent (``transient_local``).
         delivered: see ``Delivered``; None delivers each at once.
         degrees: whether joint states are degrees, as of a node with an error.
+        prefix: before the names of the joints, as where two arms are described.
 
     Attributes:
         run: what has happened.
@@ -65,7 +66,7 @@ class Ros2Arm:
 
     def __init__(self, arm: SimulatedArm, *, namespace: str = "", domain: int | None = None,
                  shuffled: list[int] | None = None, reliable: bool = True, durable: bool = False,
-                 delivered: Delivered | None = None, degrees: bool = False) -> None:
+                 delivered: Delivered | None = None, degrees: bool = False, prefix: str = "") -> None:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
@@ -75,7 +76,7 @@ class Ros2Arm:
         from trajectory_msgs.msg import JointTrajectory
 
         self.arm, self.run, self.frozen, self.silent, self.timeout = arm, Ros2Run(), False, False, 0.5
-        self._names = list(arm.robot.pinocchio.names)[1:]
+        self._names = [prefix + name for name in list(arm.robot.pinocchio.names)[1:]]
         self._order = shuffled or list(range(arm.robot.n))
         self._delivered, self._degrees, self._kind = delivered, degrees, JointState
         self._rclpy, self._context = rclpy, rclpy.Context()
@@ -84,8 +85,9 @@ class Ros2Arm:
         self.node = rclpy.create_node("simulated_controllers", context=self._context, namespace=namespace or None,
                                       enable_rosout=False, start_parameter_services=False)
         keeps = DurabilityPolicy.TRANSIENT_LOCAL if durable else DurabilityPolicy.VOLATILE
-        self._states = self.node.create_publisher(JointState, "joint_states", QoSProfile(
-            depth=10, reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT))
+        self._quality = QoSProfile(
+            depth=10, reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT)
+        self.publish_states()
         listened = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=keeps)
         for kind, topic, taken in (
                 (Float64MultiArray, "forward_position_controller/commands", self._command),
@@ -98,6 +100,10 @@ class Ros2Arm:
         self._points: list[tuple[float, Array, Array]] = []
         self._waiting: list[tuple[float, Any]] = []
         self._stopped, self._k, self._stamp = False, 0, 100.0
+
+    def publish_states(self) -> None:
+        """Makes the publisher of the joint states, ``states``, anew."""
+        self.states = self.node.create_publisher(self._kind, "joint_states", self._quality)
 
     def stop(self) -> None:
         """Ends ``play`` from another thread."""
@@ -209,7 +215,7 @@ class Ros2Arm:
         now = time.perf_counter()
         for item in [item for item in self._waiting if item[0] <= now]:
             self._waiting.remove(item)
-            self._states.publish(item[1])
+            self.states.publish(item[1])
 
     def _command(self, message: Any) -> None:
         """Takes a command as a forward command controller does: the newest message is the reference."""

@@ -157,6 +157,20 @@ def test_a_reflex_is_said_in_words(led, name: str, says: str) -> None:
     assert name in said(name)
 
 
+def test_silence_is_not_called_a_stop_of_the_arm(led) -> None:
+    controller = Controller()
+    link = led(controller)
+    follow(link, 5)
+
+    def silent() -> None:
+        raise RuntimeError("libfranka: UDP receive: Timeout")
+
+    controller.readOnce = silent  # type: ignore[method-assign, assignment]
+    with pytest.raises(FciError, match="controller is silent") as told:
+        follow(link, 5)
+    assert "stopped" not in str(told.value)
+
+
 @pytest.mark.parametrize(("mode", "says"), [("UserStopped", "user stop"), ("Guiding", "by hand"),
                                             ("Reflex", "recover it"), ("Other", "brakes")])
 def test_an_arm_that_cannot_be_led_now(led, mode: str, says: str) -> None:
