@@ -325,8 +325,6 @@ class _Franka:
     def _send_state(self) -> None:
         if self._lost:
             self._lost -= 1
-            # A client tells the time by the states' numbers.
-            self._robot._FrankaServer__message_id += 1
         else:
             self._send()
 
@@ -419,7 +417,6 @@ def _aborted(why: str) -> Callable[[Any], None]:
 FAULTS: dict[str, tuple[Callable[..., Any], Where, dict[str, Fault]]] = {
     "fci": (_fci, lambda c: np.array(c.asked("q")), {
         "nothing": _once(lambda c: None),
-        "2 % of the cycles lose a state": _often(lambda c: c.asked("lose", 1)),
         "reflex: collision": _once(_aborted("kReflexAborted")),
         "user stop": _once(_aborted("kEmergencyAborted")),
         "silence": _once(lambda c: c.asked("lose", 10**9)),
