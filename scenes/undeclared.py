@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError, found_in
+from scenes.closing.drives import DRIVES
 from scenes.scene_files.scene import BENCH, Scene
 from sim.arm.world import World
 
@@ -29,19 +30,20 @@ _SETTINGS = ("individual", "correction_delay", "quantisation", "encoder_incremen
              "external_position_noise", "external_rotation_noise")
 """Keys that say which arm it is and how it is measured; they hold nothing that a model could lack."""
 _WARMTH = "friction that changes with warmth does not act in the loop; play method adapted"
-_CONTROLLER = 'a controller is identified, not diagnosed; give the scene model = "own"'
+OF_CONTROLLERS = ("velocity_feedforward", "position_gain", "velocity_gain", "integral_time", "friction_compensation",
+                  "gain_schedule", "controller", "command_late", "command_smoothing", "command_time")
+"""Keys of joint controllers that are not those of the model, and are found anew from a motion."""
+_CONTROLLER = 'what a controller has there is identified, not diagnosed; give the scene model = "own"'
 _TWIN = "a twin of measured recordings: what it holds beyond the model has no name"
 _SWITCH = "it switches off what the model holds; nothing is left to be found"
 _REASONS = {
     **dict.fromkeys(("thermal", "start_temperature", "ambient_temperature", "thermal_resistance",
                      "thermal_time_constant", "viscosity_temperature", "dry_temperature", "reference_temperature",
                      "lubrication", "lubrication_time", "time_compression"), _WARMTH),
-    **dict.fromkeys(("low_pass", "t_ipo", "t_position", "t_velocity", "position_gain", "velocity_feedforward",
-                     "velocity_gain", "integral_time", "velocity_filter", "current_lag"), _CONTROLLER),
+    **dict.fromkeys(("low_pass", "t_ipo", "t_position", "t_velocity", "velocity_filter", "current_lag",
+                     "notch_frequency"), _CONTROLLER),
     **dict.fromkeys(("ideal", "elasticity", "friction", "torque_limits"), _SWITCH),
     **dict.fromkeys(("body", "geometry", "residual", "spread"), _TWIN),
-    **dict.fromkeys(("friction_compensation", "notch_frequency", "gain_schedule", "controller", "command_late",
-                     "command_smoothing", "command_time"), _CONTROLLER),
     **dict.fromkeys(("cell", "transmission_once", "transmission_twice", "hysteresis", "link_bending",
                      "column_stiffness", "column_frequency", "column_damping", "thermal_expansion", "hose_friction"),
                     "what gears and links of a cell have beyond the library's effects is learned from runs of a line"),
@@ -59,7 +61,7 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     result = effects_of_world(scene, n)
     if not result:
         raise InputError("the scene's world holds nothing that the model does not know; set one of "
-                         f"{', '.join(EFFECTS_OF_KEY)}", file=scene.source, field="world")
+                         f"{', '.join((*EFFECTS_OF_KEY, *OF_CONTROLLERS))}", file=scene.source, field="world")
     return result
 
 
@@ -71,7 +73,7 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
         if key in _REASONS and _differs(default, key, value):
             raise InputError(f"a world with this key cannot be closed: {_REASONS[key]}", file=file,
                              field=f"world.{key}", value=value)
-    result: list[tuple[str, int]] = []
+    result: list[tuple[str, int]] = [DRIVES] if of_controllers(scene) else []
     for key, effects in EFFECTS_OF_KEY.items():
         if key not in scene.arm_world or not _differs(default, key, scene.arm_world[key]):
             continue
@@ -93,6 +95,14 @@ def keys_of_arm(scene: Scene) -> tuple[str, ...]:
     """Keys of the scene's world that say that the arm is not as its model, beyond what its kind of world has anyway."""
     default, usual = World.default(scene.robot), scene.usual(scene.world.get("base", BENCH)).get("world", {})
     return tuple(key for key, value in scene.arm_world.items() if key in EFFECTS_OF_KEY and value != usual.get(key)
+                 and _differs(default, key, value))
+
+
+def of_controllers(scene: Scene) -> tuple[str, ...]:
+    """Keys of the scene's world that say that the arm's joint controllers are not those of its model."""
+    default = World.default(scene.robot)
+    usual = scene.usual(scene.world.get("base", BENCH)).get("world", {})
+    return tuple(key for key, value in scene.arm_world.items() if key in OF_CONTROLLERS and value != usual.get(key)
                  and _differs(default, key, value))
 
 

@@ -102,13 +102,12 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     joints = [_joints(parts, robot, averaged, sheets) for averaged in (False, True)]
     plain = _fitted(joints, _Channel())
     before = _sought(joints[0], plain[0])
-    best = None
-    for fit, each in (plain, *([] if before is None else [_fitted(joints, before)])):
-        more = _helped(each, fit)
-        for other in (fit, *([] if more is None else [_needed(joints, _fitted(joints, more)[0])])):
-            # What asks for more has to leave clearly less.
-            best = other if best is None or other.squares < _SEEN * best.squares else best
-    assert best is not None
+    fits = [plain, *([] if before is None else [_fitted(joints, before)])]
+    more = [channel for fit, each in fits if (channel := _helped(each, fit)) is not None]
+    best = plain[0]
+    # What asks for more has to leave clearly less: a lateness comes before another kind of controller.
+    for other in (*(fit for fit, _ in fits), *(_needed(joints, _fitted(joints, channel)[0]) for channel in more)):
+        best = other if other.squares < _SEEN * best.squares else best
     k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, acceleration, turns = best.values.T
     channel = best.channel
     controller = ControllerModel(

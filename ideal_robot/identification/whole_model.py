@@ -204,6 +204,22 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
     return dataclasses.replace(analysis, model=model, missing=missing)
 
 
+def with_controllers(model: Model, recording: Recording, robot: Robot) -> Model | None:
+    """The model with the joint controllers that a recording shows in the place of its own; None where it shows none.
+
+    Args:
+        model: of the arm; its bodies, friction and gears stay.
+        recording: of a motion, with commands and torques.
+        robot: the arm.
+    """
+    warnings: list[str] = []
+    # A law of the command that was known is one of other controllers.
+    bare = dataclasses.replace(model, controller=None, command=None)
+    _, found = _with_controller([recording], (), robot, bare, warnings, True)
+    found = _with_command([recording], robot, found, warnings, silent)
+    return None if found.controller is None and found.command is None else found
+
+
 def command_figures(model: Model) -> list[dict[str, Any]]:
     """A row a joint: its controller, the law's residual of ``q_c - q`` on held-out data, and ``q_c - q`` itself."""
     law = model.command

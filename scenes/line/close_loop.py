@@ -34,17 +34,14 @@ from ideal_robot.execution.play import play as play_motion
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.identification.checks import checked
-from ideal_robot.identification.closed_loop_fit import fit_controller
-from ideal_robot.loop.from_model import sheet_rotors
-from ideal_robot.model.cascade import helped
 from ideal_robot.model.model import Model
-from ideal_robot.model.model_file import require_controller
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.progress import Steps
 from ideal_robot.registry import in_words
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
+from scenes.closing.drives import DRIVES, controllers_anew
 from scenes.closing.loop import Form, Found, Group, Place, Subject, close
 from scenes.closing.result import (
     SHARES,
@@ -65,7 +62,7 @@ from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import CELL, SceneError
-from scenes.undeclared import GEOMETRY, effects_of_world, keys_of_arm
+from scenes.undeclared import GEOMETRY, effects_of_world, keys_of_arm, of_controllers
 from sim.arm.arm import SimulatedArm
 
 WORDS = Words(
@@ -82,10 +79,6 @@ EFFECTS = {"camera_latency": ("camera", "stamp_offset"), "clock_drift": ("camera
 """What a camera that is wrong is called in the effect library: table of the scene and its keys."""
 
 
-DRIVES: Place = ("joint_controllers", 0)
-"""What is called a change of the controllers, which are no effect."""
-
-
 def assumed_latency(model: Model) -> float:
     """Error of the camera's time stamps in the model [s]; 0 where it has none."""
     return CameraErrors.of(model.effects).late_by(0.0)
@@ -95,7 +88,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
                progress: Progress = silent) -> Closing:
     """See ``CloseLoop.__call__``: follows a line, and finds what is wrong with the camera."""
     undeclared = undeclared_effects(scene)
-    arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else _of_cell(scene)
+    arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else _drives(scene)
     return closed(scene, undeclared, arm=tuple(pair for pair in arm if pair[0] != "kinematic_error"), measured=measured,
                   out=out, progress=progress)
 
@@ -187,21 +180,13 @@ class _Line(Subject[LineResult]):
         moved = self.moved()
         diagnosis = diagnose(moved, self.robot, model=model, progress=progress)
         effects = [e.fitted for e in (*diagnosis.effects, *diagnosis.unknown) if e.fitted.domain != SENSOR]
-        anew = self.controllers() if _of_cell(self.scene) else None
+        anew = self.controllers() if _drives(self.scene) else None
         return Found(diagnosis, moved, (*([Group((anew,))] if anew is not None else []),
                                         Group.adding([effect for effect in effects if _acts(effect)])))
 
     def controllers(self) -> Form | None:
         """The joint controllers anew, from the motion about the line; None where it does not tell them."""
-        rotors = sheet_rotors(self.known, self.robot)
-        try:
-            controller = fit_controller(self.moved(), self.robot, rotors).controller
-            require_controller(controller, self.robot.n)
-        except InputError:
-            return None
-        label = "joint controllers" + (f": {words}" if (words := helped(controller)) else "")
-        # A law of the command that was known is one of other controllers.
-        return Form(label, lambda model, _: dataclasses.replace(model, controller=controller, command=None), (DRIVES,))
+        return controllers_anew(self.known, self.moved(), self.robot)
 
     def readings(self, before: LineResult, after: LineResult, model: Model) -> list[tuple[Array, Array]]:
         if model.controller is not self.played_with[id(before)]:
@@ -268,9 +253,14 @@ class _Line(Subject[LineResult]):
         return self.about[0]
 
 
-def _of_cell(scene: LineScene) -> tuple[Place, ...]:
-    """What every cell hides of its arm that a model can be told: nothing elsewhere."""
-    return (DRIVES,) if scene.world.get("base") == CELL else ()
+def _of_cell(scene: LineScene) -> bool:
+    """Whether the arm stands in a cell, whose drives do more than the loops of the model."""
+    return scene.world.get("base") == CELL
+
+
+def _drives(scene: LineScene) -> tuple[Place, ...]:
+    """What a cell, or a world with other joint controllers, hides of its arm: nothing elsewhere."""
+    return (DRIVES,) if _of_cell(scene) or of_controllers(scene) else ()
 
 
 def _acts(effect: FittedEffect) -> bool:
@@ -309,7 +299,7 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
                          "line by the same wrong geometry with which the arm goes there; close a path scene with this "
                          "world",
                          file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
-    if not effects and not keys and not _of_cell(scene):
+    if not effects and not keys and not _drives(scene):
         raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
                          "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
                          "[calibration] with by_moving = false, one of the arm's keys in [world], or world = "

@@ -23,7 +23,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
-from scenes.closing.loop import ROUNDS, Comparison, Forms, Found, Place, Subject, close
+from scenes.closing.drives import DRIVES, controllers_anew
+from scenes.closing.loop import ROUNDS, Comparison, Form, Forms, Found, Group, Place, Subject, close
 from scenes.closing.result import (
     SHARES,
     Closing,
@@ -50,6 +51,13 @@ WORDS = Words(
     ("model", "E_car timed", "aligned", "geometric", "E_max aligned"), "the model as it was",
     "[G] (14) and (21), of the true TCP [mm].", "Path error, aligned, as far as the arm measures it.",
     ("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, aligned."))
+IN_TIME = Words(
+    "path_error_mm", "Path error E_car, time-matched [mm]", "measured deviation mm",
+    ("model", "E_car timed", "aligned", "geometric", "E_max aligned"), "the model as it was",
+    "[G] (14) and (21), of the true TCP [mm].",
+    "Of controllers, how far the tool was from where it was wanted at the same instant, by the motors; of all else the "
+    "path error, aligned, as far as the arm measures it.",
+    ("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, time-matched."))
 _DOUBT_OF_GEARS = 0.3
 """Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
 small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show
@@ -69,7 +77,8 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
     # An own model is of the arm as it was before.
     own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
     cell = set_up(scene, delay=False, model=model_for(own, arm_of(scene.robot), progress))
-    return closed(scene, ArmOnPath(cell, checked, ask), undeclared, out=out, progress=progress)
+    subject = ArmOnPath(cell, checked, ask, drives=DRIVES in undeclared)
+    return closed(scene, subject, undeclared, out=out, progress=progress)
 
 
 def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], *, oracle: Feedforward | None = None,
@@ -95,16 +104,22 @@ def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], 
     if oracle is not None:
         oracle_errors = cell.play(oracle).errors
     elif undeclared:
-        fitted = subject.play(with_named_effects(moved, cell.robot, known, undeclared)).errors
+        named = tuple(place for place in undeclared if place != DRIVES)
+        told = known if subject.anew is None else subject.anew.change(known, before)
+        fitted = subject.play(with_named_effects(moved, cell.robot, told, named) if named else told).errors
         # Told of what this arm does not measure, it finds any size: nobody would leave that in the loop.
-        oracle_errors = min(fitted, before.errors, key=lambda errors: errors.aligned.E_car)
-    plays = {name: played(name, errors) for name, errors in
+        oracle_errors = min(fitted, before.errors, key=lambda errors: (
+            errors.time_matched if DRIVES in undeclared else errors.aligned).E_car)
+    # Where the path is late, lateness counts.
+    timed = DRIVES in undeclared
+    plays = {name: played(name, errors, timed=timed) for name, errors in
              (("before", before.errors), ("after", done.run.errors), ("oracle", oracle_errors))}
     job.begin("report")
-    more = {"E_car_aligned_mm": {name: play.error for name, play in plays.items()}, "measured": subject.measured,
+    errors_of = {name: play.error for name, play in plays.items()}
+    more = {"E_car_time_matched_mm" if timed else "E_car_aligned_mm": errors_of, "measured": subject.measured,
             "measured_before_mm": 1e3 * done.first, "plan": None if subject.plan is None else subject.plan.json()}
-    return Closing(scene, undeclared, plays, done, WORDS, {"diagnostic_motion.parquet": moved}, more,
-                   subject.section).written(out)
+    return Closing(scene, undeclared, plays, done, IN_TIME if timed else WORDS, {"diagnostic_motion.parquet": moved},
+                   more, subject.section).written(out)
 
 
 class ArmOnPath(Subject[Play]):
@@ -114,10 +129,13 @@ class ArmOnPath(Subject[Play]):
         cell: path, arm and the model as it was.
         measured: what the arm measures.
         ask: whether the motion that a diagnosis asks for is played before the loop gives up.
+        drives: whether the joint controllers may be others than the model's.
     """
 
-    def __init__(self, cell: PathCell, measured: Measured, ask: bool = False) -> None:
+    def __init__(self, cell: PathCell, measured: Measured, ask: bool = False, *, drives: bool = False) -> None:
         self.plan: AskedMotion | None = None
+        self.anew: Form | None = None
+        self._drives = drives
         self.cell, self._known, self.measured, self._ask, self._round = cell, cell.model, measured, ask, 0
 
     def play(self, model: Model) -> Play:
@@ -131,6 +149,11 @@ class ArmOnPath(Subject[Play]):
         self.cell, self._round = dataclasses.replace(self.cell, model=model), self._round + 1
         played = self.cell.play(PassThrough(self.cell.world.t_ipo), path=diagnostic_motion(self.cell))
         moved = visible(played.recording, self.measured)
+        if self._drives and self.anew is None:
+            self.anew = controllers_anew(self._known, moved, self.cell.robot)
+            if self.anew is not None:
+                # What the drives do comes before what is looked for in their torques.
+                return Found(None, moved, (Group((self.anew,)),))
         return self._suggested(diagnose(moved, self.cell.robot, model=model, progress=progress), moved)
 
     def _suggested(self, diagnosis: Diagnosis, moved: Recording) -> Found:
@@ -138,6 +161,9 @@ class ArmOnPath(Subject[Play]):
 
     def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
         """See ``Subject.readings``."""
+        if model.controller is not self.cell.model.controller or model.command is not self.cell.model.command:
+            # When the arm comes to a place is what controllers are for.
+            return [(self._in_time(before), self._in_time(after))]
         # Both with the same idea of what the gears carry, by each doubt of it.
         loads = carried(model.effects[len(self._known.effects):])
         path, doubts = self.cell.path, doubts_of(loads) if self.measured == "motor" else (0.0,)
@@ -146,8 +172,16 @@ class ArmOnPath(Subject[Play]):
                   for recording in recordings] for doubt in doubts]
         return [(without, with_it) for without, with_it in pairs]
 
+    def _in_time(self, run: Play) -> Array:
+        """How far the tool was, by its motors, from where it was wanted at the same instant ``(N, 3)`` [m]."""
+        path, robot = self.cell.path, self.cell.robot
+        q = interpolated(path.t, run.recording.t, run.recording.joints("q"))
+        return np.asarray(robot.tool_places(q) - robot.tool_places(path.q_d))[path.counts]
+
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: Play) -> tuple[list[int], str]:
         """See ``Subject.foreseen``."""
+        if DRIVES in forms[0].places:
+            return super().foreseen(forms, models, model, run)
         # A change that explains less of the path error than the model as it is cannot correct it.
         present = self._left(model, run)
         compared = [Comparison.of(present, self._left(extended, run)) for extended in models]
@@ -182,11 +216,18 @@ class ArmOnPath(Subject[Play]):
                        "was recorded and by the one that was planned, played and diagnosed.")
 
 
-def played(name: str, errors: PathErrors) -> Played:
-    """A path in the result: what it was played with, and errors of the true TCP."""
+def played(name: str, errors: PathErrors, *, timed: bool = False) -> Played:
+    """A path in the result: what it was played with, and errors of the true TCP.
+
+    Args:
+        name: of the model.
+        errors: of the true TCP.
+        timed: whether the error that is told is the time-matched one.
+    """
     sizes = (errors.time_matched.E_car, errors.aligned.E_car, errors.geometric.E_car, errors.aligned.E_max)
-    deviation = 1e3 * errors.aligned.deviation
-    return Played(errors, 1e3 * errors.aligned.E_car, [name, *(1e3 * size for size in sizes)], errors.json_mm(),
+    told = errors.time_matched if timed else errors.aligned
+    deviation = 1e3 * told.deviation
+    return Played(errors, 1e3 * told.E_car, [name, *(1e3 * size for size in sizes)], errors.json_mm(),
                   (np.linspace(0.0, 100.0, len(deviation)), deviation))
 
 

@@ -57,6 +57,9 @@ def test_scene_without_an_undeclared_effect_is_refused() -> None:
     ({"extra_rotor_inertia": [0.0, 20.0, 0.0, 0.0, 0.0, 0.0]}, (("rotor_inertia", 2),)),
     ({"torque_ripple": [0.004, 0.004, 0.012, 0.004, 0.004, 0.004]}, (("torque_ripple", 3),)),
     ({"kinematic_error": 5e-4}, tuple(("kinematic_error", j + 1) for j in range(6))),
+    ({"command_late": 0.024}, (("joint_controllers", 0),)),
+    ({"controller": "impedance", "coulomb": [60.0, 40.0, 20.0, 10.0, 9.0, 8.0]},
+     (("joint_controllers", 0), *(("coulomb", j + 1) for j in range(6)))),
     ({"individual": 3, "backlash": [0.0, 1e-4, 0.0, 0.0, 0.0, 0.0]}, (("backlash", 2),))])
 def test_worlds_with_load_ripple_and_geometry_can_be_closed(world: dict, effects: tuple) -> None:
     scene = load_scene("close_stribeck").model_copy(update={"world": world})
@@ -64,7 +67,7 @@ def test_worlds_with_load_ripple_and_geometry_can_be_closed(world: dict, effects
 
 
 @pytest.mark.parametrize(("key", "value", "why"), [("start_temperature", 15.0, "warmth"),
-                                                   ("position_gain", 12.0, "identified, not diagnosed"),
+                                                   ("velocity_filter", 0.004, "identified, not diagnosed"),
                                                    ("elasticity", False, "switches off"),
                                                    ("damping", 3.0, "no effect of the library")])
 def test_a_world_that_cannot_be_closed_says_which_key_and_why(key: str, value: object, why: str) -> None:
