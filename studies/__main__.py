@@ -31,7 +31,7 @@ GROUPS = {
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-cell": "arms", "arms-fast": "arms",
         "knew": "arms", "urdfs": "arms", "controllers": "controllers", "controlled-line": "controlled_line",
-        "five-commands": "five_commands", "fr3-line": "fr3_line",
+        "five-commands": "five_commands", "drifting-lag": "drifting_lag", "fr3-line": "fr3_line",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths", "friction-sigma": "adapted_friction",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
@@ -42,7 +42,8 @@ GROUPS = {
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
         "forecast-gains": "force", "forecast-errors": "fusion",
         "line-shapes": "line",
-        "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
+        "measured": "measured", "measured-commands": "measured",
+        "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
     "strangers": {"strangers": "diagnoses", "certainty": "diagnoses", "each-effect": "diagnoses",
                   "sensors": "diagnoses", "users-way": "users_way"},

@@ -367,12 +367,61 @@ class InverseDynamics:
                                    self.bend + self.d * (self.rate - v) + self.k * (r - q)))
 
 
-KINDS: dict[str, Callable[[Plant], PPI | Impedance | PID | InverseDynamics]] = {
+class DisturbanceObserver:
+    """Stiffness and damping by the joint's inertia, and an observer of all other torques, which are added."""
+
+    def __init__(self, plant: Plant) -> None:
+        w = 2.0 * plant.gains.position
+        self.inertia, self.k, self.d = plant.inertia, w**2, 1.4 * w
+        self.observed = 2.0 * w
+        self.given = np.zeros_like(plant.inertia)
+        self.filtered = np.zeros_like(plant.inertia)
+
+    def start(self, q: Array, hold: Array) -> None:
+        """Holds the arm at rest."""
+        self.given, self.filtered = hold.copy(), hold.copy()
+
+    def torque(self, r: Array, rd: Array, q: Array, v: Array) -> Array:
+        """See ``PPI.torque``; torques that the last one did not accelerate the joint by are those of others."""
+        moving = self.observed * self.inertia * v
+        self.filtered = self.filtered + (1.0 - np.exp(-STEP * self.observed)) * (self.given + moving - self.filtered)
+        self.given = self.inertia * (self.k * (r - q) - self.d * v) + self.filtered - moving
+        return self.given
+
+
+class ModelFollowing(PPI):
+    """A third-order model of the wanted motion; a cascade follows it, its velocity and acceleration fed forward."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        self.inertia, self.w = plant.inertia, 1.5 * plant.gains.position
+
+    def start(self, q: Array, hold: Array) -> None:
+        """See ``PPI.start``; the model rests, too."""
+        super().start(q, hold)
+        self.p, self.pd, self.pdd = q.copy(), np.zeros_like(q), np.zeros_like(q)
+
+    def torque(self, r: Array, rd: Array, q: Array, v: Array) -> Array:
+        """See ``PPI.torque``."""
+        w = self.w
+        self.pdd = self.pdd + STEP * (w**3 * (r - self.p) - 3.0 * w**2 * self.pd - 3.0 * w * self.pdd)
+        self.pd = self.pd + STEP * self.pdd
+        self.p = self.p + STEP * self.pd
+        u = self.k_v * (self.p - q) + self.pd - v
+        self.integral = self.integral + STEP * u
+        return self.k_p * u + self.k_i * self.integral + self.inertia * self.pdd
+
+
+KINDS: dict[str, Callable[[Plant], PPI | Impedance | PID | InverseDynamics | DisturbanceObserver]] = {
     "cascade": PPI, "fed_forward": FedForward, "impedance": Impedance, "pid": PID,
-    "inverse_dynamics": InverseDynamics, "moving_average": PPI, "lag": PPI, "smoothed": PPI, "posture": ByPosture}
+    "inverse_dynamics": InverseDynamics, "moving_average": PPI, "lag": PPI, "smoothed": PPI, "posture": ByPosture,
+    "disturbance_observer": DisturbanceObserver, "model_following": ModelFollowing}
 USUAL = {"cascade": Gains(), "fed_forward": Gains(share=0.9), "impedance": Gains(), "pid": Gains(),
          "inverse_dynamics": Gains(), "moving_average": Gains(filter=0.048), "lag": Gains(filter=0.09),
-         "smoothed": Gains(position=60.0, velocity=200.0, filter=0.04), "posture": Gains(share=0.35)}
+         "smoothed": Gains(position=60.0, velocity=200.0, filter=0.04), "posture": Gains(share=0.35),
+         "disturbance_observer": Gains(), "model_following": Gains()}
+UNLISTED = ("disturbance_observer", "model_following")
+"""Kinds that the command's law was not developed with."""
 
 
 def drawn(kind: str, rng: np.random.Generator) -> Gains:

@@ -124,36 +124,51 @@ def chain(arm: Simulated, folder: Path, path: str, seed: int, period: float, met
     Raises:
         IdealRobotError: a command has failed.
     """
+    robot = identified(arm, folder, period)
+    corrected, played = folder / f"{path}_corrected.parquet", folder / f"{path}_played.json"
+    if not played.is_file():
+        write_path(folder / f"{path}.csv", robot, seed, DURATION, QUICK if path == "quick" else 1.0)
+        command(folder, "precorrect", f"{path}.csv", "--model", "model.json", "--robot", robot, "-o", corrected.name,
+                 "--json", f"{path}_corrected.json", *(["--method", method] if method else []))
+        with arm.served(folder) as (address, _):
+            command(folder, "play", corrected.name, "--compare", "-o", f"{path}_played.parquet", "--json", played.name,
+                     "--robot", robot, "--arm", address)
+    figures = json.loads(played.read_text(encoding="utf-8"))
+    return {"expected": expected(folder / f"{path}_corrected.json"), **{
+        name: {"joints": left(folder / f"{path}_played{suffix}.parquet"),
+               "flange": found["flange_error"]["time_matched"]["E_car"]}
+        for name, suffix, found in (("before", "_before", figures["before"]), ("after", "", figures))}}
+
+
+def identified(arm: Simulated, folder: Path, period: float) -> str:
+    """Makes ``model.json`` by the first three commands, where the folder has none; returns what ``--robot`` names.
+
+    Args:
+        arm, folder, period: see ``chain``.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-
-    def led(verb: str, *words: str) -> None:
-        with arm.served(folder) as (address, robot):
-            _command(folder, verb, *words, "--robot", robot, "--arm", address)
-
     # The files of robots of others are written when they are served.
     robot = next(map(str, folder.glob("*.urdf")), "kr6")
     if not (folder / "moved.parquet").is_file():
         with arm.served(folder) as (address, robot):
-            _command(folder, "plan-identification", "--robot", robot, "--period", str(period), "--out", "plan")
-            _command(folder, "play", "plan/commands.csv", "--robot", robot, "--arm", address, "-o", "moved.parquet")
+            command(folder, "plan-identification", "--robot", robot, "--period", str(period), "--out", "plan")
+            command(folder, "play", "plan/commands.csv", "--robot", robot, "--arm", address, "-o", "moved.parquet")
     if not (folder / "model.json").is_file():
-        _command(folder, "identify", "moved.parquet", "--robot", robot, "--model", "model.json")
-    corrected, played = folder / f"{path}_corrected.parquet", folder / f"{path}_played.json"
-    if not played.is_file():
-        known = Robot.load(robot)
-        faster = QUICK if path == "quick" else 1.0
-        desired = motion(known, np.random.default_rng(seed), DURATION, faster * known.t_ipo)
-        pd.DataFrame({"t": known.t_ipo * np.arange(len(desired)),
-                      **{f"q_d_{i + 1}": desired[:, i] for i in range(known.n)}}).to_csv(folder / f"{path}.csv",
-                                                                                        index=False)
-        _command(folder, "precorrect", f"{path}.csv", "--model", "model.json", "--robot", robot, "-o", corrected.name,
-                 "--json", f"{path}_corrected.json", *(["--method", method] if method else []))
-        led("play", corrected.name, "--compare", "-o", f"{path}_played.parquet", "--json", played.name)
-    figures = json.loads(played.read_text(encoding="utf-8"))
-    return {"expected": expected(folder / f"{path}_corrected.json"), **{
-        name: {"joints": _rms(folder / f"{path}_played{suffix}.parquet"),
-               "flange": found["flange_error"]["time_matched"]["E_car"]}
-        for name, suffix, found in (("before", "_before", figures["before"]), ("after", "", figures))}}
+        command(folder, "identify", "moved.parquet", "--robot", robot, "--model", "model.json")
+    return robot
+
+
+def write_path(file: Path, robot: str, seed: int, duration: float, faster: float = 1.0) -> None:
+    """Writes a path of a robot's joints that is drawn at random, in its cycle, so many times as fast.
+
+    Args:
+        file, robot: CSV, and what ``--robot`` names.
+        seed, duration, faster: of the path, before it is made faster [s].
+    """
+    known = Robot.load(robot)
+    desired = motion(known, np.random.default_rng(seed), duration, faster * known.t_ipo)
+    pd.DataFrame({"t": known.t_ipo * np.arange(len(desired)),
+                  **{f"q_d_{i + 1}": desired[:, i] for i in range(known.n)}}).to_csv(file, index=False)
 
 
 def expected(figures: Path) -> float:
@@ -162,13 +177,18 @@ def expected(figures: Path) -> float:
     return float(np.sqrt(np.mean(np.square(values["expected_rms_error_mrad"]["corrected"]))))
 
 
-def _rms(recording: Path) -> float:
-    """Desired minus measured positions over all joints and instants [mrad]."""
+def left(recording: Path, since: float = 0.0) -> float:
+    """Desired minus measured positions over all joints and instants from one on, root mean square [mrad].
+
+    Args:
+        recording: of a played path.
+        since: instant [s].
+    """
     rec = Recording.read(recording)
-    return 1e3 * float(np.sqrt(np.mean((rec.joints("q_d") - rec.joints("q")) ** 2)))
+    return 1e3 * float(np.sqrt(np.mean((rec.joints("q_d") - rec.joints("q"))[rec.t >= since] ** 2)))
 
 
-def _command(folder: Path, *words: str) -> None:
+def command(folder: Path, *words: str) -> None:
     """A verb of the command line in a process of its own, in a folder; raises IdealRobotError where it fails."""
     print(f"ideal-robot {' '.join(words)}", file=sys.stderr, flush=True)
     done = subprocess.run([sys.executable, "-c", "from scenes.cli import main; main()", *words], cwd=folder, text=True,

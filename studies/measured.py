@@ -11,8 +11,10 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, point_mass
+from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation
 from ideal_robot.friction.table import friction_sizes
+from ideal_robot.identification.angles_alone import identify_arm
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.whole_model import identify_model
@@ -114,6 +116,32 @@ def measured_adapted(data: Path, arms: str = "ur10e,emps,panda,ur5") -> None:
         adapted = alone + _learned_on_the_way(model, loop, adaptation, validation, s)
         for title, torque in (("model alone", alone), ("adapted", adapted)):
             _row(f"{name}, {title}", _share_left(s, torque, arm.band[1], len(s.t) // 2), arm)
+
+
+def measured_commands(data: Path) -> None:
+    """Errors of the paths that a measured machine (EMPS) followed: measured, and expected from either of its files.
+
+    The command's law is identified from one file, with its torque and from commands and angles alone; the error of the
+    path as it was commanded is root mean square.
+
+    Args:
+        data: folder of the recordings.
+    """
+    machine, *files = ARMS["emps"].files
+    robot, recordings = Robot.load(data / machine), [Recording.read(data / file) for file in files]
+    head("identified from", "by", "path", "measured [mm]", "expected", "expected over measured")
+    for file, recording in zip(files, recordings, strict=True):
+        for by in ("torque", "angles alone"):
+            columns = {name: values for name, values in recording.columns.items()
+                       if by == "torque" or not name.startswith("tau")}
+            model = identify_arm(Recording(columns), robot).model
+            assert model.command is not None
+            inverse = CommandInverse(model, replace(robot, t_ipo=model.command.t_cycle))
+            for other, path in zip(files, recordings, strict=True):
+                desired = path.joints("q_d")
+                error, expected = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (
+                    desired - path.joints("q"), inverse.uncorrected(desired)))
+                row(Path(file).stem, by, Path(other).stem, f"{error:.3f}", f"{expected:.3f}", f"{expected / error:.3f}")
 
 
 def _loaded(arm: Arm, data: Path) -> tuple[Robot, Recording, Recording]:

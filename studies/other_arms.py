@@ -114,16 +114,19 @@ def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0, start: Se
 
 
 @contextmanager
-def crx(folder: Path, *, slowed: float = 1.0) -> Iterator[tuple[str, Path]]:
+def crx(folder: Path, *, slowed: float = 1.0, lag: tuple[float, float] | None = None, drifts: float = 120.0
+        ) -> Iterator[tuple[str, Path]]:
     """A FANUC arm behind Stream Motion, by ``airo-fanuc``'s emulated controller; yields its address and its URDF.
 
     Args:
         folder: where URDF and drive data are written.
         slowed: how many times as long a cycle takes; 0: see ``fr3``.
+        lag: of its position behind its commands, when it is led first and after ``drifts`` [s]; its usual one if None.
+        drifts: time in which the lag goes from one to the other [s].
     """
     (folder / "crx10ial.urdf").write_text(crx_urdf(), encoding="utf-8")
     (folder / "crx10ial.toml").write_text(CRX_DATA, encoding="utf-8")
-    with _served("crx", str(slowed)) as ports:
+    with _served("crx", str(slowed), *(() if lag is None else map(str, (*lag, drifts)))) as ports:
         yield "fanuc://127.0.0.1:{}?rmi={}".format(*ports.split()), folder / "crx10ial.urdf"
 
 
@@ -265,10 +268,11 @@ def answered_milliseconds(server: Any, tell: Tell = lambda k, robot: None,
             return
 
 
-def _serve_crx(slowed: str) -> None:
+def _serve_crx(slowed: str, *lag: str) -> None:
     from airo_fanuc.testing import FakeCRXConfig, FakeCRXController
 
     start = np.append(np.degrees(CRX_HOME), np.zeros(3))
+    led, drifting = 0, [float(value) for value in lag]
     with FakeCRXController(FakeCRXConfig(), initial_q_deg=start) as controller:
         if float(slowed):
             controller.start_realtime(speed=1.0 / float(slowed))
@@ -279,6 +283,10 @@ def _serve_crx(slowed: str) -> None:
                 time.sleep(0.05)
             else:
                 answered_cycle(controller)
+            if drifting:
+                low, high, over = drifting
+                led += controller.state.motion_possible()
+                controller.plant.tau_s = low + min(led * controller.sm.itp_s / over, 1.0) * (high - low)
             for violation in controller.sm.violations[told:]:
                 print(violation, file=sys.stderr, flush=True)
             told = len(controller.sm.violations)

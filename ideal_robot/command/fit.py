@@ -59,13 +59,19 @@ class Stretch:
     Attributes:
         motion: measured, with the torques that the law is fitted with.
         used: the same with the torques that it is used with, the identified model's.
+        unseen: ``used`` by models that each of the two folds was not identified from.
         command: as it was handed over ``(N, n)`` [rad].
+        measured: positions without the low-pass ``(N, n)`` [rad].
+        noise: standard deviation of one of them ``(n,)`` [rad].
         rows: instants at which the law is asked ``(M,)``.
     """
 
     motion: Motion
     used: Motion
+    unseen: tuple[Motion, Motion]
     command: Array
+    measured: Array
+    noise: Array
     rows: np.ndarray
 
 
@@ -95,11 +101,9 @@ class JointRows:
                            and (not term.bodies or motion.bodies is not None))
         self.q = [s.motion.q[:, j] for s in stretches]
         self.t = [s.motion.dt * np.arange(float(len(q))) for s, q in zip(stretches, self.q, strict=True)]
-        ends = np.cumsum([0, *(len(s.rows) for s in stretches)])
         # A gap between stretches, so that the noise begins anew.
         self.use = np.concatenate([np.append(np.ones(len(s.rows), dtype=bool), False) for s in stretches])
-        self.blocks = np.concatenate([np.append(np.arange(a, b), b) for a, b in pairwise(ends)]
-                                     ) * BLOCKS // (ends[-1] + 1)
+        self.blocks = blocks_of([len(s.rows) for s in stretches])
         self.noise = ColouredNoise(np.zeros((1, 0)), np.ones(1))
         self.size = 1.0
         self._columns: dict[tuple[tuple[float, ...], Column], Array] = {}
@@ -121,8 +125,7 @@ class JointRows:
         if key not in self._columns:
             parts = []
             for s in self.stretches:
-                x = column.of.of(s.motion)[:, self.j]
-                x = x * self.law.posture(s.motion.q, column) if column.posture else x
+                x = self.law.values(s.motion, column, self.j)
                 if key[0]:
                     num, den = shape.discrete(s.motion.dt)
                     x = from_rest(num[int(column.of.integrated)], den, x)
@@ -219,6 +222,18 @@ class Products:
         return posterior(self.G.sum(axis=0)[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
 
 
+def blocks_of(counts: Sequence[int]) -> Array:
+    """Block of each row of stretches with so many rows, a row more behind each, from 0 to ``BLOCKS`` ``(M,)``."""
+    ends = np.cumsum([0, *counts])
+    return np.asarray(np.concatenate([np.append(np.arange(a, b), b) for a, b in pairwise(ends)])
+                      * BLOCKS // (ends[-1] + 1))
+
+
+def folds(blocks: Array) -> Array:
+    """Which of two folds blocks belong to ``(M,)``: every other one of a few long stretches of time."""
+    return blocks * _FOLDS // BLOCKS % 2
+
+
 def seen(stretch: Stretch, j: int, shape: Shape) -> Array:
     """The commands of a joint as its controller sees them, without the lateness ``(N,)`` [rad].
 
@@ -275,8 +290,8 @@ def _servo(joint: JointRows, found: _Found) -> Servo | None:
     if joint.stretches[0].motion.bodies is None:
         return None
     columns = tuple(Column(name) for name in SERVO)
-    left = _held_out(joint, joint, found.shape, found.columns)[0]
-    tried = {late: _held_out(joint, joint, Shape(late=late), columns) for late in (0.0, found.shape.late)}
+    left = _held_out(joint, (joint, joint), found.shape, found.columns)[0]
+    tried = {late: _held_out(joint, (joint, joint), Shape(late=late), columns) for late in (0.0, found.shape.late)}
     late = min(tried, key=lambda late: tried[late][0])
     own, _, solution = tried[late]
     if own > left + _RESOLVED * joint.size:
@@ -315,9 +330,12 @@ def _judged(joint: JointRows, found: _Found) -> FittedJoint:
 
     Coefficients come from rows with the measured torque or with the model's, whichever leaves less.
     """
-    used = JointRows([dataclasses.replace(s, motion=s.used) for s in joint.stretches], joint.j, joint.law)
-    sources = (joint, used) if any(column.of.torque for column in found.columns) else (joint,)
-    error, left, solution = min((_held_out(source, used, found.shape, found.columns) for source in sources),
+    used, *unseen = ([dataclasses.replace(s, motion=motion) for s, motion in zip(joint.stretches, motions, strict=True)]
+                     for motions in zip(*((s.used, *s.unseen) for s in joint.stretches), strict=True))
+    sources = (joint, JointRows(used, joint.j, joint.law)) if any(column.of.torque for column in found.columns
+                                                                  ) else (joint,)
+    predicted = [JointRows(each, joint.j, joint.law) for each in unseen]
+    error, left, solution = min((_held_out(source, predicted, found.shape, found.columns) for source in sources),
                                 key=lambda judged: judged[0])
     deviation = np.concatenate([(s.command[:, joint.j] - q)[s.rows]
                                 for s, q in zip(joint.stretches, joint.q, strict=True)])
@@ -326,24 +344,23 @@ def _judged(joint: JointRows, found: _Found) -> FittedJoint:
     return FittedJoint(own, tuple(np.split(left[joint.use], np.cumsum([len(s.rows) for s in joint.stretches])[:-1])))
 
 
-def _held_out(source: JointRows, used: JointRows, shape: Shape, columns: Sequence[Column]
+def _held_out(source: JointRows, predicted: Sequence[JointRows], shape: Shape, columns: Sequence[Column]
               ) -> tuple[float, Array, Posterior]:
     """What coefficients from one source leave of other rows that they were not fitted to.
 
     Args:
-        source, used: rows that coefficients come from, and rows that they predict.
+        source, predicted: rows that coefficients come from, and those that they predict in each fold.
         shape, columns: of the law.
 
     Returns:
         Root mean square [rad], residuals ``(M,)`` [rad], and the coefficients given all rows of the source.
     """
-    X, y = used.raw(shape, columns)
-    fold = source.blocks * _FOLDS // BLOCKS % 2
+    y, fold = source.rows(source.errors(shape)), folds(source.blocks)
     source.listen(shape, columns)
     products = source.products(shape, columns)
     left = np.empty_like(y)
-    for held_out in (0, 1):
-        rows = fold == held_out
+    for held_out, other in enumerate(predicted):
+        rows, X = fold == held_out, other.raw(shape, columns)[0]
         left[rows] = (y - X @ products.without(np.unique(source.blocks[rows])).mean)[rows]
     return float(np.sqrt(np.mean(left[source.use] ** 2))), left, products.solution()
 
@@ -364,12 +381,19 @@ def with_error(fitted: FittedJoint, stretches: Sequence[Stretch], j: int, respon
         frequency = np.fft.rfftfreq(len(even), step)
         own = np.interp(frequency, np.linspace(0.0, 0.5, len(response)), response)
         missed.append(np.fft.irfft(np.fft.rfft(even) * own, len(even))[row])
+    noise = float(np.sqrt(np.mean([s.noise[j] ** 2 for s in stretches])))
+    return dataclasses.replace(fitted.law, error=variances(missed, stretches, j), noise=noise)
+
+
+def variances(missed: Sequence[Array], stretches: Sequence[Stretch], j: int) -> Array:
+    """Variances ``(PARTS,)`` [rad²] of a position's error by the parts of ``error_parts``; none negative.
+
+    Args:
+        missed: the error at each stretch's rows ``(M,)`` each [rad].
+        stretches, j: of the recordings, and the joint, from 0.
+    """
+    left = np.concatenate(missed)
     parts = np.concatenate([error_parts(s.motion)[s.rows, :, j] for s in stretches])
-    return dataclasses.replace(fitted.law, error=_variances(np.concatenate(missed), parts))
-
-
-def _variances(left: Array, parts: Array) -> Array:
-    """Variances ``(PARTS,)`` of what ``error_parts (M, PARTS)`` hold, from what is missed ``(M,)``; none negative."""
     count = max(len(left) // _WINDOW, 4)
     windows = np.array_split(np.arange(len(left)), count)
     squares = np.array([np.mean(left[w] ** 2) for w in windows])

@@ -160,6 +160,7 @@ class JointLaw:
         residual: what the law leaves of it there [rad].
         kind: of controller, in the field's words.
         servo: the joint as PD control, where it is one; None elsewhere, and where no torque was measured.
+        noise: standard deviation of a measured position, encoder steps included [rad].
     """
 
     shape: Shape
@@ -171,6 +172,7 @@ class JointLaw:
     residual: float = float("nan")
     kind: str = ""
     servo: Servo | None = None
+    noise: float = 0.0
 
     def coefficient(self, name: str) -> float:
         """Coefficient of a column by its name; 0 where the law has none."""
@@ -189,6 +191,7 @@ class CommandLaw:
         middle, width: of the range in which each joint was moved ``(n,)`` [rad], which postures are measured by.
         torque: which torque the law's terms are of: ``model`` for the identified model's, ``none``.
         cascade: what the identified loop of [G] leaves of the same recordings ``(n,)`` [rad]; None where there is none.
+        cascade_error: its variances by the parts of ``error_parts`` ``(n, 6)``; None where there is none.
         leads: whether the law predicts them better than that loop.
     """
 
@@ -199,6 +202,7 @@ class CommandLaw:
     width: Array
     torque: str = "none"
     cascade: Array | None = None
+    cascade_error: Array | None = None
     leads: bool = True
 
     @property
@@ -249,9 +253,13 @@ class CommandLaw:
         for column, c in zip(law.columns, coefficients, strict=True):
             if c == 0.0:
                 continue
-            values = c * column.of.of(motion)[:, j]
-            sums[int(column.of.integrated)] += self.posture(motion.q, column) * values if column.posture else values
+            sums[int(column.of.integrated)] += c * self.values(motion, column, j)
         return sums
+
+    def values(self, motion: Motion, column: Column, j: int) -> Array:
+        """What the coefficient of a column of joint ``j`` (from 0) is multiplied by along a motion ``(N,)``."""
+        values = column.of.of(motion)[:, j]
+        return self.posture(motion.q, column) * values if column.posture else values
 
     def error(self, motion: Motion, j: int) -> Array:
         """What joint ``j`` (from 0) has to see of the command beyond its position along a motion from rest ``(N,)``."""
@@ -287,20 +295,43 @@ class CommandLaw:
         t = motion.dt * np.arange(float(rows))
         return np.stack([self.early(motion, j, self.error(motion, j), t, ahead[j]) for j in range(self.n)], axis=1)
 
-    def expected(self, motion: Motion) -> Array:
-        """Standard deviation of the position that the commands for a motion leave ``(N, n)`` [rad]."""
-        parts = error_parts(motion)
-        return np.stack([np.sqrt(parts[:, :, j] @ law.error) for j, law in enumerate(self.joints)], axis=1)
+    def held_out(self, motion: Motion) -> Array:
+        """Standard deviation of what the laws left of motion that they were not fitted to ``(N, n)`` [rad].
+
+        Args:
+            motion: along which.
+        """
+        return np.sqrt(_by_parts(motion, np.stack([law.error for law in self.joints])))
+
+    def variance(self, motion: Motion) -> Array:
+        """Variance of the measured position that the commands for a motion leave ``(N, n)`` [rad²].
+
+        What the laws left of held-out motion, and the noise with which positions are measured.
+
+        Args:
+            motion: along which.
+        """
+        return self.held_out(motion) ** 2 + np.array([law.noise**2 for law in self.joints])
+
+    def cascade_variance(self, motion: Motion) -> Array:
+        """Variance of the measured position that commands by the identified loop of [G] leave ``(N, n)`` [rad²].
+
+        Args:
+            motion: along which.
+        """
+        if self.cascade_error is None:
+            return np.zeros_like(motion.q)
+        return _by_parts(motion, self.cascade_error)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in the model file."""
         return plain({
             "t_cycle": self.t_cycle, "still": self.still, "middle": self.middle, "width": self.width,
-            "torque": self.torque, "cascade": self.cascade, "leads": self.leads,
+            "torque": self.torque, "cascade": self.cascade, "cascade_error": self.cascade_error, "leads": self.leads,
             "joints": [{"kind": law.kind, **{key: getattr(law.shape, key) for key in _SHAPE},
                         "columns": [column.name for column in law.columns],
                         "coefficients": law.coefficients, "covariance": law.covariance, "error": law.error,
-                        "deviation": law.deviation, "residual": law.residual,
+                        "noise": law.noise, "deviation": law.deviation, "residual": law.residual,
                         "servo": None if law.servo is None else asdict(law.servo)} for law in self.joints]}, digits=12)
 
     @classmethod
@@ -322,10 +353,12 @@ class CommandLaw:
                 error = np.insert(error, 3, [0.0, 0.0])
             joints.append(JointLaw(shape, tuple(Column.named(name) for name in own["columns"]),
                                    array(own["coefficients"]), array(own["covariance"]), error,
-                                   deviation, residual, str(own["kind"]), Servo.from_dict(own.get("servo"))))
+                                   deviation, residual, str(own["kind"]), Servo.from_dict(own.get("servo")),
+                                   float(own.get("noise", 0.0))))
+        cascade, missed = (None if values.get(key) is None else array(values[key])
+                           for key in ("cascade", "cascade_error"))
         return cls(tuple(joints), float(values["t_cycle"]), array(values["still"]), array(values["middle"]),
-                   array(values["width"]), str(values["torque"]),
-                   None if values["cascade"] is None else array(values["cascade"]), bool(values["leads"]))
+                   array(values["width"]), str(values["torque"]), cascade, missed, bool(values["leads"]))
 
 
 def _weights(count: int, row: float) -> Array:
@@ -383,6 +416,11 @@ def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
 
 PARTS = 6
 """Of a law's error, see ``error_parts``."""
+
+
+def _by_parts(motion: Motion, variances: Array) -> Array:
+    """Variance ``(N, n)`` of an error along a motion, from those ``(n, PARTS)`` of its parts."""
+    return np.einsum("kpn,np->kn", error_parts(motion), variances)
 
 
 def error_parts(motion: Motion) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.command.fit import Stretch
 from ideal_robot.command.motion import Bodies, Motion
+from ideal_robot.signals.error_budget import position_noise
 from ideal_robot.signals.filters import lowpass
 from ideal_robot.signals.preprocess import chosen_cutoff, evenly_sampled
 from ideal_robot.signals.recording import Recording
@@ -127,16 +128,18 @@ def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | 
         command = interpolated(even.t, recording.t[rows], recording.joints(name, rows))
         # What passes the low-pass needs no more samples than its cut-off asks for, with room for derivatives.
         every = max(1, int(1.0 / (_FINE * cutoff * dt)))
-        own = Motion.of(lowpass(even.q, dt, cutoff)[::every], every * dt, still, bodies)
+        smooth = lowpass(even.q, dt, cutoff)
+        own = Motion.of(smooth[::every], every * dt, still, bodies)
         used = own
         if torque is not None:
             # Friction turns over at once; measured torque passed the low-pass.
-            fine = Motion.of(lowpass(even.q, dt, cutoff), dt, still)
+            fine = Motion.of(smooth, dt, still)
             used = own.with_torque(lowpass(torque(even.t, fine.q, fine.qd, fine.qdd, cutoff), dt, cutoff)[::every])
             own = own.with_torque(lowpass(even.tau, dt, cutoff)[::every]) if measured else used
         edge = int(np.ceil(1.0 / (cutoff * dt)))
         holes = np.convolve(even.hole, np.ones(2 * edge + 1), mode="same") > 0 if even.hole.any() else even.hole
         first = edge if moving_at_start(even.t, even.q) is None else max(edge, round(_FORGOTTEN / dt))
         kept = np.arange(-(-first // every), (len(even.t) - edge) // every, max(1, round(_FINE / 3.0)))
-        result.append(Stretch(own, used, lowpass(command, dt, cutoff)[::every], kept[~holes[every * kept]]))
+        result.append(Stretch(own, used, (used, used), lowpass(command, dt, cutoff)[::every],
+                              even.q[::every], position_noise(recording, even.q, dt), kept[~holes[every * kept]]))
     return result

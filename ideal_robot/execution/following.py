@@ -50,9 +50,9 @@ _FOLLOWED = 3.0
 """Ways as large as the tolerance along which an arm that was on them has shown that it follows."""
 _MOSTLY = 0.5
 """Share of the way commanded lately that a joint has gone which follows, lag included."""
-_LAGS = (0.0, 0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.12)
+_LAGS = (0.0, 0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.12, 0.15, 0.18)
 """Time constants of loops that are not known [s]: position controllers have gains of 8 to 100 1/s, or feed the speed
-forward."""
+forward; one maker's lags by 84 to 180 ms, by duty."""
 _DEAD, _DEADS = 0.05, 7
 """Longest dead time of such loops [s], and how many are tried at most."""
 _REMEMBERED = 2.0

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ideal_robot.arrays import Array, held
+from ideal_robot.command.motion import Motion
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_limits import check_limits, require_within_limits
 from ideal_robot.execution.planned_path import FEW, distinct, instants_of, through_few
@@ -162,8 +163,8 @@ class PrecorrectedPath(Summarised):
         robot_name: arm.
         t: ``(N,)`` [s].
         q_d, q_c: desired and commanded ``(N, n)`` [rad].
-        expected: error the identified loop still makes with the commands, and without ``(N, n)`` each [rad]; where the
-            command's law corrects, the first is the standard deviation of what it leaves.
+        expected: size of the error that the model still expects with the commands, and the error without ``(N, n)``
+            each [rad]; the first has in it what the model left of its own recordings.
         reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
             ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
         warnings: what was not checked, and where samples of the path are missing.
@@ -277,11 +278,15 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     if loop is not None:
         errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
+        if model.command is not None and method != "none":
+            # What the loop left of its recordings it leaves here as well.
+            motion = Motion.of(wanted, robot.t_ipo, model.command.still)
+            errors[0] = np.sqrt(errors[0] ** 2 + model.command.cascade_variance(motion))
     else:
         assert inverse is not None
         plain = inverse.uncorrected(wanted)
         errors = [plain if method == "none" else inverse.expected(wanted), plain]
-        _require_gain(errors[0], plain, method, robot)
+    _require_gain(errors[0], errors[1], method, robot)
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
                             _reach(model, robot, delay, q_c, wanted), (*warnings, *_not_checked(robot)),
                             robot.units("mrad"))

@@ -79,6 +79,11 @@ class Feedforward(ABC):
         """Takes what the controller reported at the end of a cycle, returns the next state; by default the same."""
         return state
 
+    @property
+    def observes(self) -> bool:
+        """Whether what the controller reported changes the commands, so that one cannot be made before it did."""
+        return type(self).observe is not Feedforward.observe
+
     def along(self, q_d: Array) -> Array:
         """Commands ``(N, n)`` [rad] of a whole path ``q_d (N, n)`` [rad] that is known beforehand and ends at rest."""
         state, q_c = self.init(q_d[0]), np.empty_like(q_d)

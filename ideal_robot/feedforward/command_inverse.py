@@ -208,7 +208,7 @@ class CommandInverse(Feedforward):
 
     def expected(self, q_d: Array) -> Array:
         """Standard deviation of what the commands for a path leave ``(N, n)`` [rad]."""
-        return self.law.expected(self.motion(q_d))
+        return np.sqrt(self.law.variance(self.motion(q_d)))
 
     def uncorrected(self, q_d: Array) -> Array:
         """Error ``(N, n)`` [rad] that the path itself leaves when it is commanded: ``q_d - q``."""

@@ -133,6 +133,11 @@ class ForCorrectedArm(Feedforward):
         q_c, inner = self.feedforward.step(state.inner, path, tau_ext_d)
         return q_c, CorrectedState(inner, state.cycle + 1)
 
+    @property
+    def observes(self) -> bool:
+        """See ``Feedforward.observes``: where what is corrected does."""
+        return self.feedforward.observes
+
     def observe(self, state: CorrectedState, measured: RobotState) -> CorrectedState:
         """See ``Feedforward.observe``."""
         return CorrectedState(self.feedforward.observe(state.inner, measured), state.cycle)

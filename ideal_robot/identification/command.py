@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, held, interpolated
-from ideal_robot.command.fit import FittedJoint, Stretch, fit_joint, with_error
+from ideal_robot.command.fit import FittedJoint, Stretch, blocks_of, fit_joint, folds, variances, with_error
 from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
 from ideal_robot.command.motion import Bodies, Motion
 from ideal_robot.command.recorded import command_cycle, commands_of, stretches_of, usual_cutoff
@@ -21,8 +21,10 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.filters import lowpass
 from ideal_robot.signals.recording import Recording
 
 _COPIED = 1e-9
@@ -31,6 +33,10 @@ _FOLLOWS = 0.5
 """Share of a command's motion that the law leaves, from which on the joint does not follow it."""
 _STEPS = 1e4
 """What ``q_c - q`` is resolved to at least, over its own size; below, nothing is to be corrected."""
+
+
+_EXCITED = 1e-4
+"""Directions of the parameters that move the torque by less than this share of the strongest stay as they are."""
 
 
 def identify_command(recordings: Sequence[Recording], model: Model, *, torque: bool,
@@ -56,6 +62,8 @@ def identify_command(recordings: Sequence[Recording], model: Model, *, torque: b
     bodies = Bodies.of(model.dynamics, model.rotor_inertia)
     stretches = stretches_of(recordings, name, cutoff=cutoff, bodies=bodies, torque=(
         lambda t, q, qd, qdd, f: model.inverse_dynamics(q, qd, qdd, t=t - t[0], cutoff=f)) if torque else None)
+    if torque and np.any(model.noise_std):
+        stretches = _with_unseen(stretches, model, cutoff)
     q = np.concatenate([s.motion.q for s in stretches])
     law = CommandLaw((), command_cycle(recordings, name), stretches[0].motion.still,
                      0.5 * (q.max(axis=0) + q.min(axis=0)), np.maximum(0.5 * np.ptp(q, axis=0), 1e-9),
@@ -77,6 +85,42 @@ def identify_command(recordings: Sequence[Recording], model: Model, *, torque: b
         joints.append(fitted)
     law = dataclasses.replace(law, joints=tuple(fitted.law for fitted in joints))
     return _with_errors(law, joints, stretches, bodies, model)
+
+
+def _with_unseen(stretches: Sequence[Stretch], model: Model, cutoff: float) -> list[Stretch]:
+    """The stretches with torques of models that were not identified from the fold that they are to predict.
+
+    A model predicts what it was identified from too well. From the identified one, a step of least squares over the
+    other fold's rows leads to what would have been identified from them.
+
+    Args:
+        stretches, model: of the recordings, and what was identified from all of them.
+        cutoff: of the low-pass of the stretches [Hz].
+    """
+    noise = np.maximum(model.noise_std, 1e-9 * np.max(model.noise_std))
+    counts = [len(s.rows) for s in stretches]
+    each_fold = np.split(folds(blocks_of(counts)), np.cumsum([count + 1 for count in counts])[:-1])
+    columns, left = [], []
+    for s in stretches:
+        m = s.motion
+        assert m.torque is not None
+        assert s.used.torque is not None
+        own = sensitivity(model.kinematics, model.base, model.friction, m.q, m.qd, m.qdd,
+                          model.rigid_body(m.q, m.qd, m.qdd))
+        columns.append(lowpass(own, m.dt, cutoff) / noise[:, None])
+        # A torque that does not measure its joint says nothing.
+        left.append((m.torque - s.used.torque) / noise)
+    torques = []
+    for held_out in range(2):
+        kept = [s.rows[fold[:-1] != held_out] for s, fold in zip(stretches, each_fold, strict=True)]
+        X = np.concatenate([x[rows].reshape(-1, x.shape[2]) for x, rows in zip(columns, kept, strict=True)])
+        y = np.concatenate([x[rows].ravel() for x, rows in zip(left, kept, strict=True)])
+        X, y = X[np.isfinite(y)], y[np.isfinite(y)]
+        size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        step = np.linalg.lstsq(X / size, y, rcond=_EXCITED)[0] / size
+        torques.append([s.used.with_torque(s.used.torque + noise * (x @ step))
+                        for s, x in zip(stretches, columns, strict=True)])
+    return [dataclasses.replace(s, unseen=both) for s, *both in zip(stretches, *torques, strict=True)]
 
 
 def _with_errors(law: CommandLaw, joints: Sequence[FittedJoint], stretches: Sequence[Stretch], bodies: Bodies,
@@ -136,17 +180,22 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
         # Some controllers log what they were handed over as finely as set points in force: what the loop predicts
         # better is it.
         early = sorted({0.0, law.reached_after(loop.t_ipo)})
-        each = [np.concatenate([_left_by_loop(s, loop, by)[s.rows] for s in stretches]) for by in early]
-        left = min(each, key=lambda rows: float(np.sum(rows**2)))
-        own = np.concatenate([law.expected(s.motion)[s.rows] for s in stretches])
+        made = min(([_made_by_loop(s, loop, by) for s in stretches] for by in early), key=lambda rows: float(sum(
+            np.sum((s.motion.q - own)[s.rows] ** 2) for s, own in zip(stretches, rows, strict=True))))
+        own = np.concatenate([law.held_out(s.motion)[s.rows] for s in stretches])
     except IdealRobotError:
         return law
+    left = np.concatenate([(s.motion.q - q)[s.rows] for s, q in zip(stretches, made, strict=True)])
+    # A path is measured without the low-pass that the two are compared behind.
+    error = np.array([variances([(s.measured - q)[s.rows, j] for s, q in zip(stretches, made, strict=True)],
+                                stretches, j) for j in range(law.n)])
     # The loop knows more of gears and friction, and keeps what is open.
-    return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), leads=leaves_less(own, left))
+    return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), cascade_error=error,
+                               leads=leaves_less(own, left))
 
 
-def _left_by_loop(stretch: Stretch, loop: Loop, early: float = 0.0) -> Array:
-    """Measured motor angles minus those that the loop makes of the commands ``(N, n)`` [rad].
+def _made_by_loop(stretch: Stretch, loop: Loop, early: float = 0.0) -> Array:
+    """Motor angles that the loop makes of the commands ``(N, n)`` [rad].
 
     Args:
         stretch: of a recording.
@@ -156,4 +205,4 @@ def _left_by_loop(stretch: Stretch, loop: Loop, early: float = 0.0) -> Array:
     t = stretch.motion.dt * np.arange(float(len(stretch.command)))
     at = np.minimum(np.arange(0.0, t[-1], loop.t_ipo) + early, t[-1])
     made = simulate(loop, np.asarray(CubicSpline(t, stretch.command)(at)))
-    return np.asarray(stretch.motion.q - interpolated(t, made.t, made.q_m))
+    return np.asarray(interpolated(t, made.t, made.q_m))

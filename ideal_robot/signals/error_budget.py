@@ -44,13 +44,33 @@ def error_budget(recording: Recording, s: FilteredSignals) -> ErrorBudget:
     """The error budget of a recording's filtered signals ``s``."""
     q = recording.joints("q")
     t, jitter = regular_stamps(recording.t, q)
-    step = np.array([lattice(q[:, j]) for j in range(q.shape[1])])
-    noise = np.maximum(_white_level(resampled(t, q, s.t, smooth=True), s.dt), step / np.sqrt(12.0))
+    step = _steps(q)
+    noise = _noise(resampled(t, q, s.t, smooth=True), s.dt, step)
     # The clock behind the stamps is known from many of them.
     remaining = jitter / np.sqrt(WINDOW)
     position = np.sqrt(noise**2 + (remaining * s.qd[:: s.factor][s.keep]) ** 2)
     first, second = _gains(s)
     return ErrorBudget(step, noise, jitter, first * position, second * position)
+
+
+def position_noise(recording: Recording, q: Array, dt: float) -> Array:
+    """Standard deviation of a measured position, encoder steps included ``(n,)`` [rad or m].
+
+    Args:
+        recording: with ``q_i``.
+        q, dt: its positions at even instants ``(N, n)`` [rad or m], and their distance [s].
+    """
+    return _noise(q, dt, _steps(recording.joints("q")))
+
+
+def _steps(q: Array) -> Array:
+    """Distances between the levels of positions ``(N, n)``, 0 where there are none ``(n,)`` [rad or m]."""
+    return np.array([lattice(q[:, j]) for j in range(q.shape[1])])
+
+
+def _noise(q: Array, dt: float, step: Array) -> Array:
+    """Standard deviation of positions ``(N, n)`` that are ``dt`` [s] apart: noise, or steps ``(n,)`` ``(n,)``."""
+    return np.maximum(_white_level(q, dt), step / np.sqrt(12.0))
 
 
 def _white_level(q: Array, dt: float) -> Array:

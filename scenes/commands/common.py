@@ -267,12 +267,15 @@ TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one
 
 
 def methods_of(verb: str) -> tuple[str, ...]:
-    """Methods of ``rsi`` (need no more than a model) or ``precorrect`` (no plays either), other packages' included."""
+    """Methods of ``rsi`` (nothing is rehearsed) or ``precorrect`` (no plays either), other packages' included."""
     from ideal_robot.feedforward.method import Needs
     from ideal_robot.feedforward.registry import methods, settings
 
-    needs = Needs.MODEL if verb == "rsi" else Needs.PATH
-    return (*methods(needs), *settings(needs))
+    if verb == "rsi":
+        from scenes.rsi.server import methods as played
+
+        return played()
+    return (*methods(Needs.PATH), *settings(Needs.PATH))
 
 
 def completed(verb: str, incomplete: str) -> list[str]:

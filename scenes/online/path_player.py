@@ -149,9 +149,10 @@ class PathPlayer:
     """Plays one desired joint path through a feedforward to an arm behind a link.
 
     The command of the next cycle is computed while the controller is busy with this one, so that a packet is answered
-    at once. Where a cycle is lost the path waits for it if the controller held the arm, and goes on if it did. Where a
-    command would leave a limit the arm is brought to rest on the path and the rest of the path is given up. Where the
-    controller's override is below 100 % the path is passed as much more slowly.
+    at once; a feedforward that observes computes it between packet and answer. Where a cycle is lost the path waits for
+    it if the controller held the arm, and goes on if it did. Where a command would leave a limit the arm is brought to
+    rest on the path and the rest of the path is given up. Where the controller's override is below 100 % the path is
+    passed as much more slowly.
 
     Args:
         link: the arm, not yet connected.
@@ -185,6 +186,7 @@ class PathPlayer:
         self._time = _Shared()
         self._force: FeltForce | None = None
         self._state: RobotState | None = None
+        self._commands: PathCommands | None = None
         self._in_force = _InForce(link)
         self._slowest = 1.0
         self._waited, self._where = 0, "stopped on the way to the start"
@@ -336,7 +338,13 @@ class PathPlayer:
         return result.result()
 
     def _answer(self, q_d: Array, log: RowLog, progress: Progress) -> None:
-        """Answers packet by packet; the command of the next cycle is computed while the controller is busy."""
+        """Answers packet by packet; the command of the next cycle is computed while the controller is busy, if it can.
+
+        Args:
+            q_d: the path from where the arm is held ``(N, n)`` [rad].
+            log: what is recorded.
+            progress: called now and then with the share that is done.
+        """
         cycles = self._cycles(q_d)
         coming = next(cycles, None)
         while coming is not None:
@@ -349,9 +357,15 @@ class PathPlayer:
             log.append(np.concatenate([[state.t], now.q_d, now.q_c, state.q, state.tau, *more]))
             if len(log) % 50 == 0:
                 progress(min(len(log) / len(q_d), 1.0), self.guard.held or "")
-            if (coming := next(cycles, None)) is None:
+            observes = self.feedforward.observes
+            if not observes and (coming := next(cycles, None)) is None:
                 return
-            self._received(now.q_c)
+            state = self._received(now.q_c)
+            if observes:
+                # What was measured changes the next command, which is then made between the two.
+                assert self._commands is not None
+                self._commands.observe(state)
+                coming = next(cycles, None)
             for _ in range(self.link.gone_on):
                 # The controller went on meanwhile, and so does the path.
                 if coming is not None and (later := next(cycles, None)) is not None:
@@ -375,7 +389,7 @@ class PathPlayer:
         """Every cycle of the path; to rest, and back until nothing is felt, where a limit or ``stop`` ends it."""
         rows, shift = q_d, self._shift
         while True:
-            commands = PathCommands(self.feedforward, rows, self.link.robot, self.link.t_ipo)
+            commands = self._commands = PathCommands(self.feedforward, rows, self.link.robot, self.link.t_ipo)
             held_at = yield from self._leg(commands, rows, shift)
             if held_at is None:
                 return

@@ -29,6 +29,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.rsi.corrections import require_led
 from scenes.arms import shipped_model
+from scenes.methods import ADAPTED
 from scenes.online.live_arm import answers_within, at_cycle, response_of
 from scenes.online.path_player import PathPlayer, PathRun
 from scenes.path.precorrect import robot_of
@@ -92,8 +93,11 @@ _TRIED = 20.0
 
 
 def methods() -> tuple[str, ...]:
-    """Methods that a server can play: those that need no more than a model, for nothing is rehearsed."""
-    return (*known(Needs.MODEL), *settings(Needs.MODEL))
+    """Methods that a server can play: those that need no more than a model, and what learns while it works.
+
+    Nothing is rehearsed.
+    """
+    return (*known(Needs.MODEL), ADAPTED, *settings(Needs.MODEL))
 
 
 @contextmanager

@@ -188,6 +188,21 @@ def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law
     assert np.all(off < 0.05 * measured)
 
 
+@pytest.mark.parametrize("noise", [3e-6, 5e-5])
+def test_the_noise_of_positions_is_expected_again(tmp_path: Path, noise: float) -> None:
+    """White noise of the encoder: what a law leaves of measured positions is never below it."""
+    arm = dataclasses.replace(robot(tmp_path), t_ipo=DT)
+    recording = recorded(arm, cascade, late=0.006, seed=1, torque=False)
+    rng = np.random.default_rng(7)
+    columns = {name: values + noise * rng.standard_normal(len(values)) if name.startswith("q_") and name[2] != "c"
+               else values for name, values in recording.columns.items()}
+    law = identify_command([Recording(columns)], Model.nominal(arm), torque=False)
+    inverse = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm)
+    expected = np.sqrt(np.mean(inverse.expected(moved(9)[1][:4000]) ** 2, axis=0))
+    assert np.all([0.9 * noise < own.noise < 1.1 * noise for own in law.joints])
+    assert np.all(expected > 0.9 * noise)
+
+
 def test_a_law_is_read_as_the_loop_that_answers_its_commands() -> None:
     """``q_c = q + T dq/dt`` a dead time early is a lag behind a dead time."""
     arm, lag, late = Robot.load("kr6"), 0.05, 0.024

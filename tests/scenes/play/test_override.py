@@ -12,6 +12,7 @@ import pytest
 
 from ideal_robot.arrays import Array, eased, held
 from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rtde import RtdeRobot
 from scenes.online.path_player import PathPlayer, PathRun
@@ -55,6 +56,35 @@ def along(q: Array) -> tuple[Array, Array]:
     """How far along the path's way, in shares, and how far beside it [rad], each row of joint angles is."""
     share = (q - ROBOT.home) @ WAY / (WAY @ WAY)
     return share, np.abs(q - ROBOT.home - np.outer(share, WAY)).max(axis=1)
+
+
+class Told(PassThrough):
+    """Counts what it is told of its commands."""
+
+    def __init__(self) -> None:
+        super().__init__(T)
+        self.given, self.paired = 0, list[int]()
+
+    def init(self, q0: Array) -> Any:
+        self.given = 0
+        return super().init(q0)
+
+    def step(self, state: Any, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Any]:
+        self.given += 1
+        return super().step(state, q_d, tau_ext_d)
+
+    def observe(self, state: Any, measured: RobotState) -> Any:
+        self.paired.append(self.given - len(self.paired))
+        return state
+
+
+def test_a_feedforward_is_told_what_came_of_its_last_command_before_the_next() -> None:
+    told = Told()
+    with arm() as link:
+        run = PathPlayer(link, told, path(), REST).play(patience=8.0)
+    assert run.failure is None
+    assert len(told.paired) > len(path()) - 2
+    assert set(told.paired) == {1}
 
 
 @pytest.mark.parametrize(("begins", "override"), [
