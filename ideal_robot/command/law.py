@@ -257,7 +257,11 @@ class CommandLaw:
         return sums
 
     def values(self, motion: Motion, column: Column, j: int) -> Array:
-        """What the coefficient of a column of joint ``j`` (from 0) is multiplied by along a motion ``(N,)``."""
+        """What the coefficient of a column is multiplied by along a motion ``(N,)``.
+
+        Args:
+            motion, column, j: along which, of which joint's law, and the joint, from 0.
+        """
         values = column.of.of(motion)[:, j]
         return self.posture(motion.q, column) * values if column.posture else values
 
