@@ -50,9 +50,11 @@ _FOLLOWED = 3.0
 """Ways as large as the tolerance along which an arm that was on them has shown that it follows."""
 _MOSTLY = 0.5
 """Share of the way commanded lately that a joint has gone which follows, lag included."""
-_LAGS = (0.0, 0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.12, 0.15, 0.18)
+_LAGS = (0.0, 0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.12)
 """Time constants of loops that are not known [s]: position controllers have gains of 8 to 100 1/s, or feed the speed
-forward; one maker's lags by 84 to 180 ms, by duty."""
+forward."""
+_DRIFTS = (1.2, 1.45)
+"""Time constants over the identified lag that a loop may have come to: one maker's goes from 125 to 180 ms by duty."""
 _DEAD, _DEADS = 0.05, 7
 """Longest dead time of such loops [s], and how many are tried at most."""
 _REMEMBERED = 2.0
@@ -99,11 +101,12 @@ class AnyLoop:
     Args:
         n: number of joints.
         T: cycle [s].
+        slower: further lags [s].
     """
 
-    def __init__(self, n: int, T: float) -> None:
+    def __init__(self, n: int, T: float, slower: tuple[float, ...] = ()) -> None:
         self._dead = np.unique(np.round(np.linspace(0.0, _DEAD / T, _DEADS)).astype(int))
-        lags = np.array(_LAGS)
+        lags = np.array([*_LAGS, *slower])
         self._share = (1.0 - np.where(lags > 0.0, np.exp(-T / np.maximum(lags, ROUNDING)), 0.0))[None, :, None]
         self._given = np.zeros((self._dead[-1] + 1, n))
         self._answer = np.zeros((len(self._dead), len(lags), n))
@@ -139,6 +142,17 @@ class Both:
         return np.concatenate([one.step(command) for one in self._both])
 
 
+def _slower(response: Array, T: float) -> tuple[float, ...]:
+    """Lags [s] beyond the table's to which an identified loop may drift.
+
+    Args:
+        response: impulse response of each joint ``(L, n)``.
+        T: cycle [s].
+    """
+    lag = T * float(np.max(np.arange(float(len(response))) @ response / response.sum(axis=0)))
+    return tuple(factor * lag for factor in _DRIFTS if factor * lag > _LAGS[-1])
+
+
 class Following(Watch):
     """The arm's following among its watches.
 
@@ -162,9 +176,8 @@ class Following(Watch):
                  paused: Callable[[], bool] = lambda: False) -> None:
         self._T = T = robot.t_ipo
         self._commanded, self._units, self._cause, self._paused = commanded, robot.units("rad"), cause, paused
-        table = AnyLoop(robot.n, T)
-        self._answer: Answer = table if response is None else (
-            KnownLoop(response) if sure else Both(KnownLoop(response), table))
+        self._answer: Answer = AnyLoop(robot.n, T) if response is None else (
+            KnownLoop(response) if sure else Both(KnownLoop(response), AnyLoop(robot.n, T, _slower(response, T))))
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, np.inf)
         self._a_max = accelerations(robot)
         self._brakes = 0.0
