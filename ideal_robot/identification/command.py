@@ -108,13 +108,13 @@ def _with_unseen(stretches: Sequence[Stretch], model: Model, cutoff: float) -> l
         own = sensitivity(model.kinematics, model.base, model.friction, m.q, m.qd, m.qdd,
                           model.rigid_body(m.q, m.qd, m.qdd))
         columns.append(lowpass(own, m.dt, cutoff) / noise[:, None])
-        # A torque that does not measure its joint says nothing.
         left.append((m.torque - s.used.torque) / noise)
     torques = []
     for held_out in range(2):
         kept = [s.rows[fold[:-1] != held_out] for s, fold in zip(stretches, each_fold, strict=True)]
         X = np.concatenate([x[rows].reshape(-1, x.shape[2]) for x, rows in zip(columns, kept, strict=True)])
         y = np.concatenate([x[rows].ravel() for x, rows in zip(left, kept, strict=True)])
+        # A torque that does not measure its joint says nothing.
         X, y = X[np.isfinite(y)], y[np.isfinite(y)]
         size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         step = np.linalg.lstsq(X / size, y, rcond=_EXCITED)[0] / size

@@ -51,13 +51,12 @@ WORDS = Words(
     ("model", "E_car timed", "aligned", "geometric", "E_max aligned"), "the model as it was",
     "[G] (14) and (21), of the true TCP [mm].", "Path error, aligned, as far as the arm measures it.",
     ("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, aligned."))
-IN_TIME = Words(
-    "path_error_mm", "Path error E_car, time-matched [mm]", "measured deviation mm",
-    ("model", "E_car timed", "aligned", "geometric", "E_max aligned"), "the model as it was",
-    "[G] (14) and (21), of the true TCP [mm].",
-    "Of controllers, how far the tool was from where it was wanted at the same instant, by the motors; of all else the "
-    "path error, aligned, as far as the arm measures it.",
-    ("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, time-matched."))
+IN_TIME = dataclasses.replace(
+    WORDS, error="Path error E_car, time-matched [mm]", judged="measured deviation mm",
+    decides="Of controllers, how far the tool was from where it was wanted at the same instant, by the motors; of all "
+    "else the path error, aligned, as far as the arm measures it.",
+    axes=("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, time-matched."))
+"""The same where controllers are not the model's: there lateness counts."""
 _DOUBT_OF_GEARS = 0.3
 """Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
 small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show
