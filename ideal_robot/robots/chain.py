@@ -53,11 +53,12 @@ class SerialArm:
 def serial_arm(text: str, file: str | Path | None = None, tool: str | None = None) -> SerialArm:
     """The chain of joints from base to tool; every other joint is held, at zero or at its nearest limit.
 
-    Raises InputError for no URDF, or two arms of which nobody said which one.
+    Raises InputError for no URDF.
 
     Args:
         text, file: of the URDF, and where it comes from, for messages.
-        tool: link that the chain leads to; without a word the longest chain is taken, up to where a gripper forks.
+        tool: link that the chain leads to; without a word the longest chain is taken, up to where a gripper forks, and
+            the first of several that are as long.
     """
     check_text(text, file)
     root = ET.fromstring(text)
@@ -66,7 +67,7 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
     tree = _Tree(joints)
     if not tree.sound:
         return SerialArm(text, None, ())
-    end = tool if tool in joints else tree.end(file)
+    end, chosen = (tool, []) if tool in joints else tree.end()
     chain = tree.path(end)
     # A last joint that another one beside it follows closes a gripper, whatever it is called.
     followed = {mimic.get("joint") for joint in joints.values() if (mimic := joint.find("mimic")) is not None}
@@ -74,7 +75,7 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
             chain[-1].get("name") in followed and any(map(drives, chain[:-1])))):
         chain.pop()
     link = _tool_link(tree, [_link(joint, "child") for joint in chain]) if tool not in joints else tool
-    changed = _held(joints, {id(joint) for joint in chain}) + _limited(chain)
+    changed = chosen + _held(joints, {id(joint) for joint in chain}) + _limited(chain)
     if tool not in joints:
         link = _facing_away(root, tree, chain, link, changed)
     return SerialArm(ET.tostring(root, encoding="unicode") if changed else text, link, tuple(changed))
@@ -108,19 +109,19 @@ class _Tree:
     def _own(self, link: str) -> int:
         return int(drives(self.joints[link]))
 
-    def end(self, file: str | Path | None) -> str:
-        """The link at which the longest moving chain ends, before the fingers of a gripper; InputError for two arms."""
-        link = self.root
+    def end(self) -> tuple[str, list[str]]:
+        """The link at which the longest moving chain ends, before the fingers of a gripper; what was chosen between."""
+        link, chosen = self.root, list[str]()
         while True:
             ways = sorted(((self._own(child) + self._depth[child], child) for child in self.children.get(link, ())),
                           key=lambda way: -way[0])
             moving = [way for way in ways if way[0] > 0]
             if not moving or (len(moving) > 1 and moving[0][0] < _SLENDER):
-                return link
-            if len(moving) > 1 and moving[0][0] == moving[1][0]:
-                raise InputError(f"two chains of joints of the same length begin at {link}: name the link at the end "
-                                 "of one as tool_frame in the robot's TOML", file=file, field="tool_frame",
-                                 value=f"{moving[0][1]}, {moving[1][1]}"[:80])
+                return link, chosen
+            if alike := [child for length, child in moving[1:] if length == moving[0][0]]:
+                chosen.append(f"of the arms that begin at {link} that of {moving[0][1]} is used, with as many joints as "
+                              f"that of {', '.join(alike)[:80]}: name the link at the end of another as tool_frame in "
+                              "the robot's TOML to use it")
             link = moving[0][1]
 
     def path(self, link: str) -> list[ET.Element]:

@@ -172,7 +172,7 @@ class Robot(Summarised):
                 same stem beside it, found by itself; otherwise optional, with neutral values.
 
         Raises:
-            InputError: unknown name, missing or broken file, two arms in one URDF, a joint that is not
+            InputError: unknown name, missing or broken file, a joint that is not
                 one-degree-of-freedom, a list whose length is not the joint count, a home beyond the joints' limits.
 
         >>> robot = Robot.load("kr6")

@@ -24,6 +24,9 @@ _NUMBERS = ("xyz", "rpy", "mass", "lower", "upper", "effort", "velocity", "ixx",
 _LARGEST = 1e9
 """Largest magnitude of a number, except of limits, which may be infinite."""
 
+_XACRO = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
+"""What stands before the names of xacro's commands."""
+
 
 def model_of(text: str, file: str | Path | None = None) -> pin.Model:
     """The kinematics and nominal inertias of a URDF, as ``ideal_robot.robots.chain.serial_arm`` leaves it.
@@ -109,9 +112,12 @@ def check_text(text: str, file: str | Path | None) -> None:
 
 def _check_element(element: ET.Element, file: str | Path | None) -> None:
     """What Pinocchio passes over without a word, or makes an arm of that is another one."""
-    if element.tag.startswith(("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")):
+    command = element.tag.rpartition("}")[2] if element.tag.startswith(_XACRO) else None
+    # A value that is defined and nowhere used changes nothing.
+    used = next((name for name, value in element.attrib.items() if "${" in value), None)
+    if (command is not None and command != "property") or (command is None and used is not None):
         raise InputError("holds xacro commands, which are not carried out; write the URDF by `xacro FILE`", file=file,
-                         field=element.tag.rpartition("}")[2][:40])
+                         field=(command or f"{element.tag}.{used}")[:40])
     if element.tag == "mass" and "value" not in element.attrib:
         raise InputError("expected a number of kg, or no inertial at all", file=file, field="mass.value")
 

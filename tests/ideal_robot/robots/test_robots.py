@@ -378,19 +378,38 @@ def test_what_cannot_be_an_arm_is_said_with_its_joint(change: tuple[str, str], s
     assert str(refused.value.field).startswith("joint_")
 
 
-def test_two_arms_need_a_word(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lift", [False, True])
+def test_of_two_arms_one_is_used_and_told(lift: bool, tmp_path: Path) -> None:
     arm = urdf(6).replace("base_link", "left_base").replace("</robot>", "").replace('<robot name="bare">', "")
     twin = arm.replace("link_", "other_link_").replace("left_base", "right_base").replace('"joint_', '"other_joint_') \
         .replace("tool0", "tool1").replace('"flange"', '"flange2"').replace('"base"', '"base2"') \
         .replace("base_fixed", "base_fixed2")
     roots = "".join(f'<joint name="to_{side}" type="fixed"><parent link="torso"/><child link="{side}_base"/></joint>'
                     for side in ("left", "right"))
+    if lift:
+        roots += ('<link name="ground"/><joint name="lift" type="prismatic"><parent link="ground"/><child link="torso"/>'
+                  '<axis xyz="0 0 1"/><limit lower="0" upper="0.3" effort="1000" velocity="0.1"/></joint>')
     path = written(tmp_path, f'<robot name="two"><link name="torso"/>{arm}{twin}{roots}</robot>')
-    with pytest.raises(InputError, match="tool_frame"):
-        Robot.load(path)
-    path.with_suffix(".toml").write_text('tool_frame = "tool1"\n')
     robot = Robot.load(path)
-    assert (robot.n, robot.tool_frame) == (6, "tool1")
+    assert (robot.n, robot.tool_frame) == (6 + lift, "tool0")
+    assert "left_base" in robot.assumed[0] and "right_base" in robot.assumed[0] and "tool_frame" in robot.assumed[0]
+    assert sum("other_joint_" in told for told in robot.assumed) == 6
+    path.with_suffix(".toml").write_text('tool_frame = "tool1"\n')
+    other = Robot.load(path)
+    assert (other.n, other.tool_frame) == (6 + lift, "tool1")
+    assert not any("arms that begin" in told for told in other.assumed)
+
+
+def test_values_that_xacro_left_defined_change_nothing_unless_they_are_used(tmp_path: Path) -> None:
+    text = urdf(6).replace('<robot name="bare">', '<robot name="bare" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+                           '<xacro:property name="width" value="0.2"/>')
+    robot, plain = Robot.load(written(tmp_path, text)), Robot.load(written(tmp_path, urdf(6), "plain"))
+    assert robot.n == plain.n == 6
+    for one, other in zip(robot.pinocchio.jointPlacements, plain.pinocchio.jointPlacements, strict=True):
+        np.testing.assert_array_equal(one.homogeneous, other.homogeneous)
+    for place in ('<link name="${width}"/></robot>', '<xacro:include filename="arm.xacro"/></robot>'):
+        with pytest.raises(InputError, match="xacro"):
+            Robot.load(written(tmp_path, text.replace("</robot>", place)))
 
 
 # Masses, efforts and speeds of a class.
