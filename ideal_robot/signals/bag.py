@@ -331,9 +331,9 @@ def _whole(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
     else:
         files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
     cut = [file for file in files if _is_cut(file)]
+    said = _renamed(path, files)
     if not cut:
-        return ([path] if path.is_file() or (path / _WORDS).is_file() or not files else files), []
-    said = []
+        return ([path] if path.is_file() or ((path / _WORDS).is_file() and not said) or not files else files), said
     for file in cut:
         mended = folder / file.name
         lost = _mend(file, mended)
@@ -341,6 +341,15 @@ def _whole(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
         said.append(f"cut: {file.name} ends within a record, as a killed recorder leaves it; what is whole is read"
                     + (f", {100.0 * lost:.2g} % of its bytes are left out" if lost else ""))
     return files, said
+
+
+def _renamed(path: Path, files: Sequence[Path]) -> list[str]:
+    """What there is to say of files that a folder's ``metadata.yaml`` does not name, as of a bag that was renamed."""
+    if not (path / _WORDS).is_file():
+        return []
+    words = (path / _WORDS).read_text(errors="replace")
+    others = [file.name for file in files if file.name not in words]
+    return [f"renamed: {_WORDS} does not name {_some(others)}; the files themselves are read"] if others else []
 
 
 def _is_cut(file: Path) -> bool:

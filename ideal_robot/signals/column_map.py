@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,14 +36,19 @@ _WORDS = {word: quantity for quantity, words in _QUANTITIES.items() for word in 
 """The quantity that a word of a title names."""
 _MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "ist", "feedback", "state", "value", "wert"))
 _COMMANDED = frozenset(("target", "command", "commanded", "commands", "cmd", "reference", "references", "ref",
-                        "setpoint", "soll", "sollwert", "sollposition", "sollwinkel", "desired", "des"))
+                        "setpoint", "soll", "sollwert", "sollposition", "sollwinkel", "desired", "des", "cmptd",
+                        "computed"))
 _AXIS = frozenset(("axis", "act"))
 """KUKA's words for positions: ``$AXIS_ACT``."""
 _OTHERS = frozenset(("tcp", "tool", "cartesian", "pose", "ee", "ext", "external", "error", "err", "deviation", "limit",
                      "max", "min", "gravity", "coriolis", "mass", "mode", "status", "voltage", "output", "estimated",
                      "pid", "raw", "window", "acceleration", "acc"))
 """Words of titles that hold something else than a joint's motion or drive, whatever the other words are."""
-_TIME = ("t", "time", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "zeitstempel")
+_JOINT = frozenset(("joint", "axis", "jnt", "j", "gelenk", "achse"))
+"""Words that name a joint in titles that name no quantity: its position is meant."""
+_LEARNED = {"observation.state": "q", "action": "q_c"}
+"""Lists in tables for learning (LeRobot) that do not name their quantity: what was measured, and what was commanded."""
+_TIME = ("t", "time", "times", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "zeitstempel")
 """Words of a title of times, the surest first."""
 _BESIDE_TIME = frozenset(("header", "field", "robot", "controller", "relative", "since", "start", "ros", "log"))
 _FACTORS = {"deg": math.pi / 180.0, "degree": math.pi / 180.0, "degrees": math.pi / 180.0, "grad": math.pi / 180.0,
@@ -51,6 +56,8 @@ _FACTORS = {"deg": math.pi / 180.0, "degree": math.pi / 180.0, "degrees": math.p
             "rad": 1.0, "m": 1.0, "s": 1.0, "sec": 1.0, "a": 1.0, "nm": 1.0, "n m": 1.0, "rad/s": 1.0, "°c": 1.0,
             "deg/s": math.pi / 180.0, "°/s": math.pi / 180.0, "%": 1.0, "‰": 1.0}
 """Units that titles carry, over those of docs/files.md; shares of a rated torque stay as they are."""
+_ANGLES = ("", "rad", "deg", "degree", "degrees", "grad", "°", "m", "mm")
+"""Units of positions of joints, one of them none."""
 _UNIT = re.compile(r"\s*[\[(]\s*([^\[\]()0-9]+?)\s*[\])]\s*$")
 _PARTS = re.compile(r"[A-Z]?[a-zµ°]+|[A-Z]+(?![a-z])|\d+")
 _EPOCH = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"), (1e8, 1.0, ""))
@@ -133,7 +140,10 @@ def recognised(titles: Sequence[str], topic: str | None = None) -> ColumnMap:
     joints: tuple[str, ...] = ()
     if "q_1" not in own:
         times = {source.title for source in found.values()}
-        groups = _groups([title for title in titles if title not in own | times])
+        others = [title for title in titles if title not in own | times]
+        groups = _groups(others, _joint_column)
+        if not any("q" in group for group in groups.values()):
+            groups = _groups(others, _bare_joint)
         prefixes = _with_positions(groups, topic)
         if prefixes:
             joints = _joint_columns(groups, prefixes[0], found)
@@ -171,9 +181,12 @@ def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
             raise InputError(f"expected the title of one column, not {len(named)}", file=path, field=key)
         names = [key] if key in SINGLE else [f"{key}_{j + 1}" for j in range(len(named))]
         of.update({name: Source(title, factor) for name, title, factor in zip(names, named, factors, strict=True)})
-    # A clock that says what it is need not be named.
+    # What says what it is need not be named: a clock, and joints beside the rate of a table without one.
     if "t" not in (*of, *known) and rate is None and (time := _time(titles)):
         of["t"] = time
+    if "q_1" not in (*of, *known) and not any(name.rpartition("_")[0] in OF_JOINTS for name in of):
+        found = recognised(titles)
+        of, joints = {**found.of, **of}, joints or found.joints
     for wanted in ("t", "q_1"):
         if wanted not in of and wanted not in known and (wanted != "t" or rate is None):
             raise InputError(f"maps no column to {wanted.partition('_')[0]}; the table's columns are "
@@ -277,12 +290,15 @@ Group = dict[str, dict[str, Source]]
 """Of each quantity the joints' columns by their names."""
 
 
-def _groups(titles: Sequence[str]) -> dict[str, Group]:
-    """Columns of joints by the path that stands before the joint's name, then by quantity."""
+def _groups(titles: Sequence[str], of: Callable[[str], _Told | None]) -> dict[str, Group]:
+    """Columns of joints, which ``of`` finds, by the path that stands before the joint's name, then by quantity.
+
+    Beside joints that are named by their number alone, a title with a further word is of something else.
+    """
     groups: dict[str, Group] = {}
     ranks: dict[tuple[str, str, str], int] = {}
     for title in titles:
-        told = _joint_column(title)
+        told = of(title)
         if told is None:
             continue
         quantity, prefix, name, rank, source = told
@@ -290,11 +306,35 @@ def _groups(titles: Sequence[str]) -> dict[str, Group]:
         if rank < ranks.get((prefix, quantity, name), 9):
             ranks[prefix, quantity, name] = rank
             groups.setdefault(prefix, {}).setdefault(quantity, {})[name] = source
+    for group in groups.values():
+        for columns in group.values():
+            if any(name.isdigit() for name in columns):
+                for name in [name for name in columns if not name.isdigit()]:
+                    del columns[name]
     return groups
 
 
-def _joint_column(title: str) -> tuple[str, str, str, int, Source] | None:
-    """Quantity, path, joint, rank of its role (0: said to be measured) and source of a title; None for another one."""
+_Told = tuple[str, str, str, int, Source]
+"""Quantity, path, joint, rank of its role (0: said to be measured) and source of a title."""
+
+
+def _bare_joint(title: str) -> _Told | None:
+    """What a title is of that names a joint by its number and nothing else, or of a joint; None for another one."""
+    words, unit = _words(title)
+    if told := _joint_column(title):
+        return told
+    if not _JOINT & set(words) or not any(word.isdigit() for word in words) or set(words) & (
+            _OTHERS | _COMMANDED | set(_WORDS)) or unit not in _ANGLES:
+        return None
+    path, name = re.match(r"^(.*[/.])?([^/.]*)$", _UNIT.sub("", title)).groups(default="")  # type: ignore[union-attr]
+    prefix = "/".join(part for part in re.split(r"[/.]", path) if part)
+    return "q", prefix, name, 1, Source(title, _FACTORS.get(unit, 1.0))
+
+
+def _joint_column(title: str) -> _Told | None:
+    """What a title is of that names a quantity of a joint; None for another one."""
+    if (match := re.fullmatch(r"(.*)_(\d+)", title)) and match[1] in _LEARNED:
+        return _LEARNED[match[1]], "observation", match[2], 0, Source(title)
     words, unit = _words(title)
     if _OTHERS & set(words):
         return None

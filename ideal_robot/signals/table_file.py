@@ -1,10 +1,11 @@
-"""Tables on disk, Parquet and CSV, read within bounds: what a file claims to hold is checked before it is unpacked."""
+"""Tables on disk, Parquet, CSV and NumPy's npz, read within bounds: what a file claims to hold is checked before it is unpacked."""
 
 from __future__ import annotations
 
 import csv
 import re
 import warnings
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,19 +41,20 @@ _UNPACKED = 8
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     """Columns ``(N,)`` by name, the metadata, and the names of columns that are not of numbers, which are left out.
 
-    Of a Parquet file, or of a CSV file by its ending. Dates are seconds since 1970, times of the day seconds since
-    midnight; lists of one length in a Parquet file are columns ``name_0``, ``name_1``, …. Of large tables the columns
+    Of a Parquet file, or of a CSV file or one of NumPy's arrays by their endings. Dates are seconds since 1970, times of
+    the day seconds since midnight; lists of one length in a Parquet file, and arrays ``(N, n)``, are columns ``name_0``,
+    ``name_1``, …. Of large tables the columns
     lie in a file without a name, read-only, and are filled piece by piece. Raises InputError for a file that is not
     readable or larger than the bounds, a column twice with other values, metadata that is no table.
     """
     try:
-        return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
+        return {".csv": _csv, ".npz": _npz}.get(path.suffix.lower(), _parquet)(path)
     except InputError:
         raise
     except Exception as error:  # pandas and Arrow raise many kinds for a damaged file
         shown = " ".join(str(error).split())[:300]
-        raise InputError(f"not a readable recording ({type(error).__name__}: {shown}); expected Parquet, CSV, a ROS 2 "
-                         "bag or MCAP", file=path) from error
+        raise InputError(f"not a readable recording ({type(error).__name__}: {shown}); expected Parquet, CSV, "
+                         "npz, a ROS bag or MCAP", file=path) from error
 
 
 def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
@@ -127,6 +129,36 @@ def _numeric(type_: Any) -> bool:
     return any(of(kind) for of in (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean,
                                    pa.types.is_decimal, pa.types.is_null,
                                    pa.types.is_timestamp))
+
+
+def _npz(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
+    """Columns of the arrays ``(N,)`` and ``(N, n)`` of numbers that most arrays are as long as; others are left out."""
+    arrays: dict[str, Array] = {}
+    with zipfile.ZipFile(path) as packed:
+        check_unfolding(TABLE_UNFOLDING, sum(entry.file_size for entry in packed.infolist()), path.stat().st_size, path)
+    with np.load(path, allow_pickle=False) as file:
+        for name in file.files:
+            try:
+                array = file[name]
+            except ValueError:  # objects, which are not unpickled
+                continue
+            if array.ndim in (1, 2) and array.dtype.kind in "fiub":
+                arrays[name] = array
+        names = list(file.files)
+    lengths = [len(array) for array in arrays.values()]
+    rows = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+    tables = {name: array for name, array in arrays.items() if len(array) == rows}
+    columns: dict[str, Array] = {}
+    for name, array in tables.items():
+        titles = [name] if array.ndim == 1 else _unfolded(name, array.shape[1])
+        columns.update(zip(titles, np.asarray(array, dtype=float).reshape(rows, -1).T, strict=True))
+    _check_names(list(columns), path)
+    TABLE_VALUES.check(rows * len(columns), path, "cut it into pieces")
+    wide = {name: array.shape[1] for name, array in tables.items() if array.ndim == 2}
+    said = ", ".join(f"{name} of {width} values" for name, width in wide.items())
+    return ({title: np.ascontiguousarray(values) for title, values in columns.items()},
+            {"reading": [f"lists: {said}, a column each, counted from 0"]} if wide else {},
+            [name for name in names if name not in tables])
 
 
 def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:

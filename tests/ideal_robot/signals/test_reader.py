@@ -58,6 +58,9 @@ def table(titles: Callable[[int], tuple[str, str]], time: str, clock: np.ndarray
     ("timestamp", lambda j: (f"actual_q_{j}", f"measured_tq_{j}")),
     ("Timestamp", lambda j: (f"MeasJntPos{j + 1}", f"MeasJntTrq{j + 1}")),
     ("t", lambda j: (f"$AXIS_ACT[{j + 1}]", f"$TORQUE_AXIS_ACT[{j + 1}]")),
+    ("times", lambda j: (f"joint{j + 1}", f"torque{j + 1}")),
+    ("time", lambda j: (f"j{j + 1}", f"tau{j + 1}")),
+    ("timestamp", lambda j: (f"observation.state_{j}", f"observation.effort_{j}")),
     ("stamp", lambda j: (f"{'abcdef'[j]}_joint_position", f"{'abcdef'[j]}_joint_torque"))])
 def test_titles_of_other_programs_are_recognised(time: str, titles: Any, tmp_path: Path) -> None:
     table(titles, time).to_csv(tmp_path / "r.csv", index=False)
@@ -108,6 +111,66 @@ def test_a_line_of_units_and_a_separator_at_the_end(tmp_path: Path) -> None:
     (tmp_path / "r.csv").write_text("\n".join(f"{line};" for line in (titles, units, *rows)), encoding="cp1252")
     read = Recording.read(tmp_path / "r.csv")
     np.testing.assert_allclose(read.joints("q"), Q)
+
+
+@pytest.mark.parametrize("commanded", ["PositionCmptd", "Position_desired", "target_position"])
+def test_further_words_beside_numbered_joints_are_no_joints(commanded: str, tmp_path: Path) -> None:
+    log = table(lambda j: (f"Position{j + 1}", f"Torque{j + 1}"), "Time")
+    for j in range(N):
+        log = log.assign(**{f"TorqueSm{j + 1}": 0.0, f"TorqueFriction{j + 1}": 1.0, f"PositionOther{j + 1}": 9.0,
+                            f"{commanded}{j + 1}": Q[:, j] + 1e-3})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    recording = Recording.read(tmp_path / "log.csv")
+    np.testing.assert_allclose(recording.joints("q"), Q)
+    np.testing.assert_allclose(recording.joints("tau"), TAU)
+    np.testing.assert_allclose(recording.joints("q_c"), Q + 1e-3)
+    assert {"TorqueSm1", "PositionOther6"} <= set(recording.columns)
+
+
+def test_tables_for_learning_hold_what_was_measured_and_commanded(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"timestamp": T, "observation.state": list(Q), "action": list(Q + 0.01),
+                             "episode_index": np.zeros(ROWS)}), tmp_path / "log.parquet")
+    recording = Recording.read(tmp_path / "log.parquet")
+    np.testing.assert_allclose(recording.joints("q"), Q)
+    np.testing.assert_allclose(recording.joints("q_c"), Q + 0.01)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_arrays_of_numpy_are_a_column_for_each_joint(packed: bool, tmp_path: Path) -> None:
+    save = np.savez_compressed if packed else np.savez
+    save(tmp_path / "log.npz", times=T, positions=Q, torques=TAU, target_positions=Q + 1e-3, rate=250.0,
+         poses=np.zeros((ROWS, 4, 4)), names=np.array(["a", {}], dtype=object), other=np.zeros(7))
+    recording = Recording.read(tmp_path / "log.npz")
+    np.testing.assert_allclose(recording.t, T)
+    np.testing.assert_allclose(recording.joints("q"), Q)
+    np.testing.assert_allclose(recording.joints("tau"), TAU)
+    np.testing.assert_allclose(recording.joints("q_c"), Q + 1e-3)
+
+
+@pytest.mark.parametrize("hold", [b"no archive", b"PK\x03\x04" + 40 * b"x", b""])
+def test_what_is_no_archive_of_arrays_is_refused(hold: bytes, tmp_path: Path) -> None:
+    (tmp_path / "log.npz").write_bytes(hold)
+    with pytest.raises(InputError, match="not a readable recording"):
+        Recording.read(tmp_path / "log.npz")
+
+
+def test_arrays_that_unfold_to_far_more_than_their_file_are_refused(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "log.npz", times=np.zeros(25_000_000))
+    with pytest.raises(InputError, match="unfolds"):
+        Recording.read(tmp_path / "log.npz")
+
+
+def test_a_map_of_the_rate_alone_leaves_the_joints_to_their_titles(tmp_path: Path) -> None:
+    table(lambda j: (f"Joint_{j + 1}", f"Torque_{j + 1}"), "t").drop(columns="t").to_csv(tmp_path / "log.csv",
+                                                                                      index=False)
+    with pytest.raises(InputError, match="Joint_") as refused:
+        Recording.read(tmp_path / "log.csv")
+    assert refused.value.field == "t"
+    (tmp_path / "map.toml").write_text(f"t = {{rate = {1.0 / STEP}}}\n")
+    recording = Recording.read(tmp_path / "log.csv", columns=tmp_path / "map.toml")
+    np.testing.assert_allclose(recording.joints("q"), Q)
+    np.testing.assert_allclose(recording.joints("tau"), TAU)
+    np.testing.assert_allclose(recording.t, T, atol=1e-9)
 
 
 def test_a_map_names_columns_factors_and_joints(tmp_path: Path) -> None:
@@ -378,6 +441,15 @@ def test_two_namespaces_are_chosen_between(tmp_path: Path) -> None:
         Recording.read(path)
     np.testing.assert_array_equal(Recording.read(path, topic="/right/joint_states").joints("q"), 0.5 * Q)
     np.testing.assert_array_equal(Recording.read(path, topic="left", joints=NAMES[2:4]).joints("q"), Q[:, 2:4])
+
+
+@pytest.mark.parametrize("name", ["arm.mcap", "arm_2024_0.mcap"])
+def test_a_bag_whose_files_were_renamed_is_read(name: str, tmp_path: Path) -> None:
+    folder = bag(tmp_path / "bag", list(arm()))
+    next(folder.glob("*.mcap")).rename(folder / name)
+    read = Recording.read(folder)
+    np.testing.assert_allclose(read.joints("q"), Q)
+    assert any(text.startswith("renamed: ") and name in text for text in read.meta["reading"])
 
 
 def test_unstamped_messages_have_the_stamp_of_the_log(tmp_path: Path) -> None:
