@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
 from ideal_robot.robots.urdf import check_text
 
 TURNS = 2.0 * math.pi
@@ -110,7 +109,7 @@ class _Tree:
         return int(drives(self.joints[link]))
 
     def end(self) -> tuple[str, list[str]]:
-        """The link at which the longest moving chain ends, before the fingers of a gripper; what was chosen between."""
+        """The link at which the longest moving chain ends, before a gripper's fingers; what was chosen between."""
         link, chosen = self.root, list[str]()
         while True:
             ways = sorted(((self._own(child) + self._depth[child], child) for child in self.children.get(link, ())),

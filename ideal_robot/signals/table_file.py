@@ -1,4 +1,4 @@
-"""Tables on disk, Parquet, CSV and NumPy's npz, read within bounds: what a file claims to hold is checked before it is unpacked."""
+"""Tables on disk (Parquet, CSV, npz) within bounds: what a file claims to hold is checked before it is unpacked."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _UNPACKED = 8
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     """Columns ``(N,)`` by name, the metadata, and the names of columns that are not of numbers, which are left out.
 
-    Of a Parquet file, or of a CSV file or one of NumPy's arrays by their endings. Dates are seconds since 1970, times of
-    the day seconds since midnight; lists of one length in a Parquet file, and arrays ``(N, n)``, are columns ``name_0``,
-    ``name_1``, …. Of large tables the columns
-    lie in a file without a name, read-only, and are filled piece by piece. Raises InputError for a file that is not
-    readable or larger than the bounds, a column twice with other values, metadata that is no table.
+    Of a Parquet file, or of a CSV or npz file by its ending. Dates are seconds since 1970, times of the day seconds
+    since midnight; lists of one length in a Parquet file, and arrays ``(N, n)``, are columns ``name_0``, ``name_1``, ….
+    Of large tables the columns lie in a file without a name, read-only, and are filled piece by piece. Raises
+    InputError for a file that is not readable or larger than the bounds, a column twice with other values, metadata
+    that is no table.
     """
     try:
         return {".csv": _csv, ".npz": _npz}.get(path.suffix.lower(), _parquet)(path)

@@ -387,12 +387,13 @@ def test_of_two_arms_one_is_used_and_told(lift: bool, tmp_path: Path) -> None:
     roots = "".join(f'<joint name="to_{side}" type="fixed"><parent link="torso"/><child link="{side}_base"/></joint>'
                     for side in ("left", "right"))
     if lift:
-        roots += ('<link name="ground"/><joint name="lift" type="prismatic"><parent link="ground"/><child link="torso"/>'
+        roots += ('<link name="ground"/>'
+                  '<joint name="lift" type="prismatic"><parent link="ground"/><child link="torso"/>'
                   '<axis xyz="0 0 1"/><limit lower="0" upper="0.3" effort="1000" velocity="0.1"/></joint>')
     path = written(tmp_path, f'<robot name="two"><link name="torso"/>{arm}{twin}{roots}</robot>')
     robot = Robot.load(path)
     assert (robot.n, robot.tool_frame) == (6 + lift, "tool0")
-    assert "left_base" in robot.assumed[0] and "right_base" in robot.assumed[0] and "tool_frame" in robot.assumed[0]
+    assert all(word in robot.assumed[0] for word in ("left_base", "right_base", "tool_frame"))
     assert sum("other_joint_" in told for told in robot.assumed) == 6
     path.with_suffix(".toml").write_text('tool_frame = "tool1"\n')
     other = Robot.load(path)
