@@ -109,7 +109,7 @@ class _Tree:
         return int(drives(self.joints[link]))
 
     def end(self) -> tuple[str, list[str]]:
-        """The link at which the longest moving chain ends, before a gripper's fingers; what was chosen between."""
+        """The link at which the longest moving chain ends, before the fingers of a gripper; what was chosen."""
         link, chosen = self.root, list[str]()
         while True:
             ways = sorted(((self._own(child) + self._depth[child], child) for child in self.children.get(link, ())),
@@ -118,8 +118,8 @@ class _Tree:
             if not moving or (len(moving) > 1 and moving[0][0] < _SLENDER):
                 return link, chosen
             if alike := [child for length, child in moving[1:] if length == moving[0][0]]:
-                chosen.append(f"of the arms that begin at {link} that of {moving[0][1]} is used, with as many joints as "
-                              f"that of {', '.join(alike)[:80]}: name the link at the end of another as tool_frame in "
+                chosen.append(f"of the arms that begin at {link} that of {moving[0][1]} is used, with as many joints "
+                              f"as that of {', '.join(alike)[:80]}: name the link at the end of another as tool_frame in "
                               "the robot's TOML to use it")
             link = moving[0][1]
 
