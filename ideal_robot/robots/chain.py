@@ -119,8 +119,8 @@ class _Tree:
                 return link, chosen
             if alike := [child for length, child in moving[1:] if length == moving[0][0]]:
                 chosen.append(f"of the arms that begin at {link} that of {moving[0][1]} is used, with as many joints "
-                              f"as that of {', '.join(alike)[:80]}: name the link at the end of another as tool_frame in "
-                              "the robot's TOML to use it")
+                              f"as that of {', '.join(alike)[:80]}: name the link at the end of another as "
+                              "tool_frame in the robot's TOML to use it")
             link = moving[0][1]
 
     def path(self, link: str) -> list[ET.Element]:
