@@ -21,9 +21,12 @@ _UPDATES = 0.2
 """Share of the samples of a moving joint that change its command, from which on it changes with every sample."""
 _FINE = 9.0
 """Samples a period of the low-pass's cut-off, for derivatives; a third of them are rows of the law."""
-_START, _MOVES, _FORGOTTEN = 0.05, 0.3, 1.0
-"""A recording starts in motion where a joint moves in its first 50 ms with so much of its usual speed; then its
-controller remembers so long what was before [s]."""
+_START, _FEW = 0.05, 5
+"""Beginning of a recording from which its first speed is found [s], and the samples that it has at least."""
+_MOVES, _FORGOTTEN = 0.3, 1.0
+"""Share of its usual speed from which on a joint is in motion; a controller remembers so long what was before [s]."""
+_RESTS = 0.2
+"""Shortest rest [s]: joints that reverse are slow for less."""
 _LONGEST = 0.1
 """Cycle that is looked for at most [s]."""
 
@@ -47,18 +50,40 @@ def with_commands(recording: Recording) -> Recording:
 def moving_at_start(t: Array, q: Array) -> int | None:
     """The joint, from 0, that moves fastest over its usual speed when a recording starts; None where all rest.
 
-    What a controller remembers of the time before is then not in the recording.
+    What a controller remembers of the time before is then not in the recording. An arm that starts from rest with the
+    first row has no speed in it, however soon it is fast: a parabola through the first 50 ms tells.
 
     Args:
         t, q: times ``(N,)`` [s] and positions ``(N, n)`` [rad].
     """
-    few = max(2, int(np.searchsorted(t, t[0] + _START)))
-    usual = np.sqrt(np.mean(np.gradient(q, t, axis=0) ** 2, axis=0))
-    share = np.abs(q[few - 1] - q[0]) / (t[few - 1] - t[0]) / np.maximum(usual, 1e-9)
+    few = min(len(t), max(_FEW, int(np.searchsorted(t, t[0] + _START)) + 1))
+    first = np.abs(np.polynomial.polynomial.polyfit(t[:few] - t[0], q[:few], 2)[1])
+    share = first / np.maximum(_usual_speed(t, q), 1e-9)
     # Encoder steps of a joint that rests are no motion.
     share[np.ptp(q, axis=0) < 1e-3] = 0.0
     j = int(np.argmax(share))
     return j if share[j] > _MOVES else None
+
+
+def first_rest(t: Array, q: Array) -> float | None:
+    """Time at which all joints of a recording rest for the first time, for 0.2 s at least [s].
+
+    None where they never do, or hardly move afterwards.
+
+    Args:
+        t, q: times ``(N,)`` [s] and positions ``(N, n)`` [rad].
+    """
+    later, usual = np.searchsorted(t, t + _RESTS), np.maximum(_usual_speed(t, q), 1e-9)
+    rows = np.flatnonzero(later < len(t))
+    moved = np.abs(q[later[rows]] - q[rows]) / (t[later[rows]] - t[rows])[:, None]
+    rests = rows[np.all(moved < STILL * usual, axis=1)]
+    if not len(rests) or np.any(_usual_speed(t[rests[0]:], q[rests[0]:]) < 0.5 * usual):
+        return None
+    return float(t[rests[0]])
+
+
+def _usual_speed(t: Array, q: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.gradient(q, t, axis=0) ** 2, axis=0)))
 
 
 def update_instants(t: Array, q_c: Array) -> np.ndarray:

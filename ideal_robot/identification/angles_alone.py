@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.command.recorded import commands_of, moving_at_start, with_commands
+from ideal_robot.command.recorded import commands_of, first_rest, moving_at_start, with_commands
 from ideal_robot.errors import InputError
 from ideal_robot.identification.command import identify_command
 from ideal_robot.identification.whole_model import IdentificationResult, command_figures, identify_model
@@ -100,7 +100,8 @@ def identify_from_commands(recordings: Recording | Sequence[Recording], robot: R
         progress: called with the share done.
 
     Raises:
-        InputError: another number of joints, degrees, commands that the joints do not follow, too short.
+        InputError: another number of joints, degrees, commands that the joints do not follow, too short, in motion
+            when it starts.
     """
     expect(robot, Robot, "robot", "load one by Robot.load")
     used, warnings = [], []
@@ -134,6 +135,8 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     for kind in ("q", "q_c"):
         require_joint_units(np.quantile(recording.joints(kind), (0.01, 0.99), axis=0), robot, file=source, column=kind)
     if (j := moving_at_start(recording.t, recording.joints("q"))) is not None:
-        more = [*more, f"starts-in-motion: joint {j + 1} moves in the first row already, and what its controller "
-                "remembers is not in the log: the first second tells nothing of it; a log from rest tells more"]
+        rest = first_rest(recording.t, recording.joints("q"))
+        cut = f", or cut this one at t = {rest:.3f} s, where all joints rest" if rest is not None else ""
+        raise InputError("the log starts in motion, and what its controller remembers of the time before is not in "
+                         f"it; begin logging before the arm moves{cut}", file=source, field=f"q_{j + 1}")
     return recording, [*warnings, *more]

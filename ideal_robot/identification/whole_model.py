@@ -12,7 +12,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.command.law import require_law
-from ideal_robot.command.recorded import with_commands
+from ideal_robot.command.recorded import moving_at_start, with_commands
 from ideal_robot.command.words import described
 from ideal_robot.errors import InputError
 from ideal_robot.friction import CubeRoot
@@ -313,6 +313,11 @@ def _with_command(recordings: Sequence[Recording], robot: Robot, model: Model, w
     except InputError as error:
         warnings.append(f"no-command-law: {error}")
         return model
+    for recording in recordings:
+        if (j := moving_at_start(recording.t, recording.joints("q"))) is not None:
+            warnings.append(f"starts-in-motion: joint {j + 1} moves in the first row already, and what its controller "
+                            "remembers is not in the log: the first second tells nothing of the controller "
+                            f"[{recording.source}]")
     if model.controller is not None:
         law = judged(law, recordings, model, robot)
     return dataclasses.replace(model, command=law)

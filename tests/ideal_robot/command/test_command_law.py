@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
 from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape, _weights
-from ideal_robot.command.recorded import command_cycle, update_instants
+from ideal_robot.command.recorded import command_cycle, moving_at_start, update_instants
 from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
@@ -288,8 +288,6 @@ def spoilt(recording: Recording, how: str) -> Recording:
         columns |= {name: np.degrees(columns[name]) for name in ("q_c_1", "q_c_2")}
     elif how == "exchanged":
         columns |= {"q_c_1": columns["q_c_2"], "q_c_2": columns["q_c_1"]}
-    elif how == "in motion":
-        columns = {name: values[round(3.0 / DT):] for name, values in columns.items()}
     elif how == "another run":
         columns |= {f"q_c_{i + 1}": np.ascontiguousarray(moved(77)[1][:, i]) for i in range(2)}
     return Recording(columns)
@@ -305,11 +303,35 @@ def test_commands_that_tell_nothing_are_refused(tmp_path: Path, how: str, seed: 
     assert "\n" not in str(raised.value)
 
 
-def test_a_log_that_starts_in_motion_says_so_and_is_used_from_then_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cut", [1.5, 3.0, 7.7])
+def test_a_log_that_starts_in_motion_is_refused_with_where_to_cut_it(tmp_path: Path, cut: float) -> None:
     arm = robot(tmp_path)
-    identified = identify_from_commands(
-        spoilt(recorded(arm, cascade, late=0.006, seed=1, torque=False), "in motion"), arm)
-    assert any("moves in the first row" in warning for warning in identified.warnings)
+    first, second = (recorded(arm, cascade, late=0.006, seed=seed, torque=False).columns for seed in (1, 2))
+    late = {name: values[round(cut / DT):] for name, values in first.items()}
+    with pytest.raises(InputError, match="starts in motion") as raised:
+        identify_from_commands(Recording(late), arm)
+    assert "\n" not in str(raised.value)
+    # Behind it another motion, from rest.
+    both = {name: np.concatenate([values, second[name]]) for name, values in late.items()}
+    both["t"] = DT * np.arange(len(both["t"]))
+    with pytest.raises(InputError, match="where all joints rest") as raised:
+        identify_from_commands(Recording(both), arm)
+    at = float(str(raised.value).split("t = ")[1].split(" s")[0])
+    assert DT * len(late["t"]) - 1.0 < at < DT * len(late["t"]) + 1.0
+    cut_there = Recording({name: values[both["t"] >= at - 1e-9] for name, values in both.items()})
+    assert identify_from_commands(cut_there, arm).model.command is not None
+
+
+@pytest.mark.parametrize("rate", [30.0, 125.0, 1000.0])
+@pytest.mark.parametrize("before", [0.0, 0.01, 0.3])
+def test_an_arm_that_starts_from_rest_with_the_log_does_not_start_in_motion(rate: float, before: float) -> None:
+    t = np.arange(0.0, 6.0, 1.0 / rate)
+    moved = np.maximum(t - before, 0.0)
+    q = np.stack([0.4 * np.minimum(moved / 0.3, 1.0) ** 2 * np.sin(moved), 0.2 * (1.0 - np.cos(3.0 * moved))], axis=1)
+    q += 2e-5 * np.random.default_rng(1).standard_normal(q.shape)
+    assert moving_at_start(t, q) is None
+    after = t > 1.0
+    assert moving_at_start(t[after], q[after]) is not None
 
 
 @pytest.mark.parametrize("logged", ["handed over", "in force, finely"])
