@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array
 from ideal_robot.command.controllers import CONTROLLERS, Controller
 from ideal_robot.command.filters import from_rest
-from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape, error_parts
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Rival, Shape, error_parts
 from ideal_robot.command.motion import Motion
 from ideal_robot.command.servo import SERVO, Servo
 from ideal_robot.command.smoothing import SMOOTHINGS
@@ -50,6 +50,10 @@ _WINDOW = 12
 """Rows over which what a law leaves is squared: a tenth to a half of a second."""
 _POWERS = (1, 2)
 """Of a joint's position about its middle, which gains may follow."""
+
+
+_SIDELOBE = 1e-3
+"""Power of the Hann window's largest sidelobe, over that of the line."""
 
 
 @dataclass(frozen=True)
@@ -266,20 +270,68 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
         law: says how postures are measured.
     """
     joint = JointRows(stretches, j, law)
+    numbers = 2 * tones([stretch.motion for stretch in stretches], j)
     # Where torques are known they say what bodies and directions stand for; yet a command is made with the model's, and
     # what that misses of friction the motion itself may tell better.
     kinds = [kind for kind in CONTROLLERS if set(kind.core) <= set(joint.names)]
     by_torque = [kind for kind in kinds if any(TERMS[name].torque for name in kind.core)]
-    alone = _judged(joint, _searched(joint, [kind for kind in kinds if kind not in by_torque]))
+    alone, *others = (_judged(joint, found) for found in
+                      _searched(joint, [kind for kind in kinds if kind not in by_torque]))
     if not by_torque:
-        return alone
-    found = _searched(joint, by_torque)
+        return beside(alone, others, numbers)
+    found, *less = _searched(joint, by_torque)
     usual, servo = _judged(joint, found), _servo(joint, found)
+    others += [_judged(joint, one) for one in less]
     # Better not only beyond chance, but by as much as changes a user's path.
     better = (alone.law.residual + _RESOLVED * alone.law.deviation < usual.law.residual
               and leaves_less(np.concatenate(alone.left), np.concatenate(usual.left)))
-    fitted = alone if better else usual
+    fitted, other = (alone, usual) if better else (usual, alone)
+    fitted = beside(fitted, [other, *others], numbers)
     return dataclasses.replace(fitted, law=dataclasses.replace(fitted.law, servo=servo))
+
+
+def beside(fitted: FittedJoint, others: Sequence[FittedJoint], numbers: int) -> FittedJoint:
+    """The law with the laws of other kinds that may be the joint's as well.
+
+    At other frequencies than a recording's laws go apart that predict it nearly as well (see ``probabilities``).
+
+    Args:
+        fitted, others: the law, and laws of other kinds of controllers.
+        numbers: that a recording tells of a joint's answer: amplitude and phase of each tone.
+    """
+    among = probabilities([one.law.residual for one in (fitted, *others)], numbers)
+    rivals = tuple(Rival(other.law.shape, other.law.columns, other.law.coefficients, float(p))
+                   for other, p in zip(others, among[1:], strict=True))
+    return dataclasses.replace(fitted, law=dataclasses.replace(fitted.law, rivals=rivals))
+
+
+def probabilities(left: Sequence[float], numbers: int) -> Array:
+    """Probability of each description of a joint's answer ``(K,)``, by what it leaves of one recording.
+
+    Blocks of a recording that are left out have the frequencies of the others, and no description is quite the
+    controller: what it leaves elsewhere is known from as many independent numbers as tones tell of the answer. So the
+    odds of two are those of Gaussian residuals of so many numbers, their variance unknown: ``(r_0 / r_k)`` to the power
+    of the numbers.
+
+    Args:
+        left: what each leaves of held-out motion, root mean squares [rad].
+        numbers: that the recording tells: amplitude and phase of each tone.
+    """
+    size = np.maximum(np.asarray(left, dtype=float), 1e-12)
+    odds = (size.min() / size) ** numbers
+    return np.asarray(odds / odds.sum())
+
+
+def tones(motions: Sequence[Motion], j: int) -> int:
+    """How many tones a joint's velocity has, one at least: lines of its spectrum that no window's sidelobe makes.
+
+    Args:
+        motions, j: of the recordings, and the joint, from 0.
+    """
+    longest = max(motions, key=lambda motion: len(motion.qd)).qd[:, j]
+    power = np.abs(np.fft.rfft(np.hanning(len(longest)) * (longest - np.mean(longest)))) ** 2
+    lines = (power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:]) & (power[1:-1] > _SIDELOBE * power.max())
+    return max(int(np.count_nonzero(lines)), 1)
 
 
 def _servo(joint: JointRows, found: _Found) -> Servo | None:
@@ -299,8 +351,8 @@ def _servo(joint: JointRows, found: _Found) -> Servo | None:
     return Servo.of(dict(zip(SERVO, solution.mean, strict=True)), solution.covariance, late)
 
 
-def _searched(joint: JointRows, kinds: Sequence[Controller]) -> _Found:
-    """The law of some kinds of controllers that predicts a joint's commands best."""
+def _searched(joint: JointRows, kinds: Sequence[Controller]) -> list[_Found]:
+    """Laws of some kinds of controllers, the one first that predicts a joint's commands best."""
     whole = {name for kind in kinds for name in (*kind.core, *kind.more) if name in joint.names}
     joint.listen(Shape(0.06), [Column(name) for name in sorted(whole)])
     starts: list[_Found] = []
@@ -322,7 +374,7 @@ def _searched(joint: JointRows, kinds: Sequence[Controller]) -> _Found:
     # The best kinds without a smoothing, and the best with one: between the times tried either may look worse.
     refined = [start for start in starts if start.shape.smoothing == "none"][:_REFINED]
     refined += [start for start in starts if start.shape.smoothing != "none"][:1]
-    return max((_refined(joint, start) for start in refined), key=lambda found: found.score)
+    return sorted((_refined(joint, start) for start in refined), key=lambda found: -found.score)
 
 
 def _judged(joint: JointRows, found: _Found) -> FittedJoint:

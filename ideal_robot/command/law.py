@@ -13,7 +13,7 @@ Read forwards it is fitted (``ideal_robot.command.fit``); evaluated ahead it is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -146,6 +146,21 @@ _SHAPE = tuple(f.name for f in fields(Shape))
 
 
 @dataclass(frozen=True)
+class Rival:
+    """The law of another kind of controller, which may be a joint's as well.
+
+    Attributes:
+        shape, columns, coefficients: see ``JointLaw``.
+        probability: that it is the joint's.
+    """
+
+    shape: Shape
+    columns: tuple[Column, ...]
+    coefficients: Array
+    probability: float
+
+
+@dataclass(frozen=True)
 class JointLaw:
     """The law of one joint.
 
@@ -161,6 +176,7 @@ class JointLaw:
         kind: of controller, in the field's words.
         servo: the joint as PD control, where it is one; None elsewhere, and where no torque was measured.
         noise: standard deviation of a measured position, encoder steps included [rad].
+        rivals: laws of other kinds that may be the joint's as well.
     """
 
     shape: Shape
@@ -173,6 +189,7 @@ class JointLaw:
     kind: str = ""
     servo: Servo | None = None
     noise: float = 0.0
+    rivals: tuple[Rival, ...] = ()
 
     def coefficient(self, name: str) -> float:
         """Coefficient of a column by its name; 0 where the law has none."""
@@ -192,6 +209,7 @@ class CommandLaw:
         torque: which torque the law's terms are of: ``model`` for the identified model's, ``none``.
         cascade: what the identified loop of [G] leaves of the same recordings ``(n,)`` [rad]; None where there is none.
         cascade_error: its variances by the parts of ``error_parts`` ``(n, 6)``; None where there is none.
+        doubt: probability that the law is the joint's, and not that loop ``(n,)``; None where there is none.
         leads: whether the law predicts them better than that loop.
     """
 
@@ -204,6 +222,7 @@ class CommandLaw:
     cascade: Array | None = None
     cascade_error: Array | None = None
     leads: bool = True
+    doubt: Array | None = None
 
     @property
     def n(self) -> int:
@@ -317,6 +336,24 @@ class CommandLaw:
         """
         return self.held_out(motion) ** 2 + np.array([law.noise**2 for law in self.joints])
 
+    def apart(self, motion: Motion, j: int) -> list[tuple[float, Array]]:
+        """Probability of each rival of a joint, and how far its commands are beside the law's ``(N,)`` [rad].
+
+        Args:
+            motion, j: along which, and the joint, from 0.
+        """
+        t, own = motion.dt * np.arange(float(len(motion.q))), self.joints[j]
+
+        def command(law: CommandLaw, shape: Shape) -> Array:
+            return law.early(motion, j, law.error(motion, j), t, shape.ahead)
+
+        usual, result = command(self, own.shape), []
+        for rival in own.rivals:
+            other = replace(own, shape=rival.shape, columns=rival.columns, coefficients=rival.coefficients)
+            instead = replace(self, joints=(*self.joints[:j], other, *self.joints[j + 1 :]))
+            result.append((rival.probability, command(instead, rival.shape) - usual))
+        return result
+
     def cascade_variance(self, motion: Motion) -> Array:
         """Variance of the measured position that commands by the identified loop of [G] leave ``(N, n)`` [rad²].
 
@@ -332,11 +369,12 @@ class CommandLaw:
         return plain({
             "t_cycle": self.t_cycle, "still": self.still, "middle": self.middle, "width": self.width,
             "torque": self.torque, "cascade": self.cascade, "cascade_error": self.cascade_error, "leads": self.leads,
-            "joints": [{"kind": law.kind, **{key: getattr(law.shape, key) for key in _SHAPE},
-                        "columns": [column.name for column in law.columns],
-                        "coefficients": law.coefficients, "covariance": law.covariance, "error": law.error,
+            "doubt": self.doubt,
+            "joints": [{"kind": law.kind, **_terms(law), "covariance": law.covariance, "error": law.error,
                         "noise": law.noise, "deviation": law.deviation, "residual": law.residual,
-                        "servo": None if law.servo is None else asdict(law.servo)} for law in self.joints]}, digits=12)
+                        "servo": None if law.servo is None else asdict(law.servo),
+                        "rivals": [{**_terms(rival), "probability": rival.probability} for rival in law.rivals]}
+                       for law in self.joints]}, digits=12)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> CommandLaw:
@@ -346,23 +384,33 @@ class CommandLaw:
 
         joints = []
         for own in values["joints"]:
-            times: dict[str, Any] = {key: own[key] if own[key] is None or key == "smoothing" else float(own[key])
-                                     for key in _SHAPE}
-            shape = Shape(**times)
-            SMOOTHINGS[shape.smoothing]
             deviation, residual = (float("nan") if own[key] is None else float(own[key])
                                    for key in ("deviation", "residual"))
             error = array(own["error"])
             if error.shape == (4,):  # before jerk and slowness were parts of it
                 error = np.insert(error, 3, [0.0, 0.0])
-            joints.append(JointLaw(shape, tuple(Column.named(name) for name in own["columns"]),
-                                   array(own["coefficients"]), array(own["covariance"]), error,
-                                   deviation, residual, str(own["kind"]), Servo.from_dict(own.get("servo")),
-                                   float(own.get("noise", 0.0))))
-        cascade, missed = (None if values.get(key) is None else array(values[key])
-                           for key in ("cascade", "cascade_error"))
+            rivals = tuple(Rival(*_read_terms(rival), float(rival["probability"])) for rival in own.get("rivals", ()))
+            joints.append(JointLaw(*_read_terms(own), array(own["covariance"]), error, deviation, residual,
+                                   str(own["kind"]), Servo.from_dict(own.get("servo")), float(own.get("noise", 0.0)),
+                                   rivals))
+        cascade, missed, doubt = (None if values.get(key) is None else array(values[key])
+                                  for key in ("cascade", "cascade_error", "doubt"))
         return cls(tuple(joints), float(values["t_cycle"]), array(values["still"]), array(values["middle"]),
-                   array(values["width"]), str(values["torque"]), cascade, missed, bool(values["leads"]))
+                   array(values["width"]), str(values["torque"]), cascade, missed, bool(values["leads"]), doubt)
+
+
+def _terms(law: JointLaw | Rival) -> dict[str, Any]:
+    return {**{key: getattr(law.shape, key) for key in _SHAPE}, "columns": [column.name for column in law.columns],
+            "coefficients": law.coefficients}
+
+
+def _read_terms(values: Mapping[str, Any]) -> tuple[Shape, tuple[Column, ...], Array]:
+    times: dict[str, Any] = {key: values[key] if values[key] is None or key == "smoothing" else float(values[key])
+                             for key in _SHAPE}
+    shape = Shape(**times)
+    SMOOTHINGS[shape.smoothing]
+    return (shape, tuple(Column.named(name) for name in values["columns"]),
+            np.array(values["coefficients"], dtype=float))
 
 
 def _weights(count: int, row: float) -> Array:
@@ -416,6 +464,13 @@ def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
             refuse(f"joints.{j}.columns", f"postures of joints 1 to {n}")
         if not own.shape.stable:
             refuse(f"joints.{j}.coefficients", "a command whose own poles decay")
+        for rival in own.rivals:
+            if len(rival.coefficients) != len(rival.columns) or not np.all(np.isfinite(rival.coefficients)):
+                refuse(f"joints.{j}.rivals", "a finite coefficient for each column")
+            if any(column.posture > n for column in rival.columns) or not rival.shape.stable:
+                refuse(f"joints.{j}.rivals", f"postures of joints 1 to {n}, and poles that decay")
+            if not 0.0 <= rival.probability <= 1.0:
+                refuse(f"joints.{j}.rivals", "probabilities from 0 to 1", rival.probability)
 
 
 PARTS = 6

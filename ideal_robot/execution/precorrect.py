@@ -19,7 +19,7 @@ from ideal_robot.execution.command_limits import check_limits, require_within_li
 from ideal_robot.execution.planned_path import FEW, distinct, instants_of, through_few
 from ideal_robot.execution.slowed import slowed
 from ideal_robot.feedforward.built_in import BY_LAW, by_law
-from ideal_robot.feedforward.command_inverse import at_cycle_of
+from ideal_robot.feedforward.command_inverse import CommandInverse, at_cycle_of
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs, Setting
 from ideal_robot.feedforward.registry import feedforward, methods, require, settings
@@ -282,6 +282,9 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
             # What the loop left of its recordings it leaves here as well.
             motion = Motion.of(wanted, robot.t_ipo, model.command.still)
             errors[0] = np.sqrt(errors[0] ** 2 + model.command.cascade_variance(motion))
+            if (doubt := model.command.doubt) is not None:
+                by = CommandInverse(model, robot, delay=delay).expected_by(q_c, wanted)
+                errors[0] = np.sqrt((1.0 - doubt) * errors[0] ** 2 + doubt * by**2)
     else:
         assert inverse is not None
         plain = inverse.uncorrected(wanted)

@@ -89,6 +89,7 @@ class CommandInverse(Feedforward):
         self.shift = delay * self.t_ipo + self.law.reached_after(self.t_ipo)
         self.ahead = np.maximum([own.shape.ahead + self.shift for own in self.law.joints], 0.0)
         self.discrete = [own.shape.discrete(self.t_ipo) for own in self.law.joints]
+        self._response: Array | None = None
         self._spread: list[Array] = [np.ones(1)] * self.n
         if self.law.torque != "none":
             # What the friction of each joint changes by where it reverses.
@@ -207,8 +208,33 @@ class CommandInverse(Feedforward):
         return q_c - rest * state.start, after
 
     def expected(self, q_d: Array) -> Array:
-        """Standard deviation of what the commands for a path leave ``(N, n)`` [rad]."""
-        return np.sqrt(self.law.variance(self.motion(q_d)))
+        """Standard deviation of what the commands for a path leave ``(N, n)`` [rad].
+
+        What the law left of held-out motion; and where it is another kind's law, how its commands are beside that
+        one's, as the joints answer them.
+        """
+        rows, motion = len(q_d), self.motion(held(q_d, after=self.n_d))
+        variance = self.law.variance(motion)[:rows]
+        for j in range(self.n):
+            for probability, apart in self.law.apart(motion, j):
+                variance[:, j] += probability * self._answered(apart, j)[:rows] ** 2
+        return np.asarray(np.sqrt(variance))
+
+    def expected_by(self, q_c: Array, q_d: Array) -> Array:
+        """Standard deviation of what other commands for a path leave, if the law is right ``(N, n)`` [rad].
+
+        Args:
+            q_c, q_d: commands and path ``(N, n)`` each [rad].
+        """
+        missing = q_c - self._required(q_d)
+        answered = np.stack([self._answered(missing[:, j], j) for j in range(self.n)], axis=1)
+        return np.asarray(np.sqrt(answered**2 + self.law.variance(self.motion(q_d))))
+
+    def _answered(self, command: Array, j: int) -> Array:
+        """What joint ``j`` (from 0) makes of a small part of its command ``(N,)``, both from rest [rad]."""
+        if self._response is None:
+            self._response = self.response(self.law.middle, round(REST / self.t_ipo))
+        return np.convolve(command - command[0], self._response[:, j])[: len(command)] + command[0]
 
     def uncorrected(self, q_d: Array) -> Array:
         """Error ``(N, n)`` [rad] that the path itself leaves when it is commanded: ``q_d - q``."""

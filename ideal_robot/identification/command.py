@@ -9,7 +9,17 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, held, interpolated
-from ideal_robot.command.fit import FittedJoint, Stretch, blocks_of, fit_joint, folds, variances, with_error
+from ideal_robot.command.fit import (
+    FittedJoint,
+    Stretch,
+    blocks_of,
+    fit_joint,
+    folds,
+    probabilities,
+    tones,
+    variances,
+    with_error,
+)
 from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
 from ideal_robot.command.motion import Bodies, Motion
 from ideal_robot.command.recorded import command_cycle, commands_of, stretches_of, usual_cutoff
@@ -189,9 +199,11 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     # A path is measured without the low-pass that the two are compared behind.
     error = np.array([variances([(s.measured - q)[s.rows, j] for s, q in zip(stretches, made, strict=True)],
                                 stretches, j) for j in range(law.n)])
+    of_law, of_loop = (np.sqrt(np.mean(x**2, axis=0)) for x in (own, left))
+    motions = [s.motion for s in stretches]
+    doubt = np.array([probabilities([of_loop[j], of_law[j]], 2 * tones(motions, j))[1] for j in range(law.n)])
     # The loop knows more of gears and friction, and keeps what is open.
-    return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), cascade_error=error,
-                               leads=leaves_less(own, left))
+    return dataclasses.replace(law, cascade=of_loop, cascade_error=error, leads=leaves_less(own, left), doubt=doubt)
 
 
 def _made_by_loop(stretch: Stretch, loop: Loop, early: float = 0.0) -> Array:
