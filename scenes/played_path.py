@@ -17,14 +17,12 @@ from ideal_robot.execution.guard import PATIENCE
 from ideal_robot.execution.planned_path import read_path
 from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward, PassThrough
-from ideal_robot.feedforward.method import Needs
-from ideal_robot.feedforward.registry import method as described
 from ideal_robot.interfaces import LinkSettings, connected_arm, interface_of
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors, path_errors
-from scenes.online.live_arm import answers_within, at_cycle, response_of
+from scenes.online.live_arm import answers_within, response_of
 from scenes.online.path_player import Felt, PathPlayer, PathRun
 from scenes.online.processes import stopping_on_signals, undisturbed
 from scenes.result import Progress, silent
@@ -138,13 +136,7 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
     if interface.cycle is not None and round(1e6 * (cycle or 0.0)) % round(1e6 * interface.cycle):
         raise InputError(f"{interface.title} has a cycle of {1e3 * interface.cycle:g} ms; expected a multiple of it",
                          field="--cycle", value=cycle)
-    law: Feedforward
-    if described(settings.method).needs == Needs.NOTHING:
-        arm = Robot.load(robot) if robot is not None else prepared(model=settings.model, method=settings.method)[0]
-        arm = arm if cycle is None else at_cycle(arm, cycle)
-        law, identified, model = PassThrough(arm.t_ipo), None, None
-    else:
-        arm, law, identified, model = prepared(robot=robot, model=settings.model, method=settings.method, cycle=cycle)
+    arm, law, identified, model = prepared(robot=robot, model=settings.model, method=settings.method, cycle=cycle)
     response = None if identified is None else response_of(identified, arm)
     within = None if response is None else answers_within(response, arm.t_ipo)
     given = read_path(path, arm)
@@ -155,7 +147,7 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
         _, commands, more = path_at_cycles(t, given.commands, arm, rest=settings.rest, file=str(path), column="q_c")
         warnings, column = (*warnings, *more), "q_c"
     require_within_limits(commands, arm, start=-settings.rest, file=path, column=column)
-    meta = {"method": settings.method, "model": None if model is None else str(model), "path": str(path),
+    meta = {"method": settings.method, "model": None if identified is None else str(model), "path": str(path),
             "interface": settings.arm}
     return PlannedPath(arm, law, desired, commands, round(settings.rest / arm.t_ipo), within, response, meta,
                        warnings)

@@ -125,8 +125,9 @@ class PlayOptions:
     method: Annotated[str, typer.Option(
         help="How the path is corrected while it is played: none (the file's commands as they are), ideal, …",
         autocompletion=lambda incomplete: completed("rsi", incomplete))] = "none"
-    model: Annotated[Path | None, typer.Option(help="Identified model (JSON) for --method; default: the shipped one.")
-                     ] = None
+    model: Annotated[Path | None, typer.Option(
+        help="Identified model (JSON) for --method, and to see sooner whether the arm follows; default: for a method "
+             "that needs one, the shipped one.")] = None
     force: Annotated[str | None, typer.Option(help="Force sensor that guards the motion, netft://… or stream://…: what "
                                               "it feels beyond the tool's weight stops the arm.")] = None
     force_delay: Annotated[float, typer.Option(help="From measurement to arrival, at least [ms].", min=0.0,

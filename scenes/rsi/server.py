@@ -143,7 +143,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
              cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, Model | None, Path]:
-    """Arm at one cycle, feedforward, identified model where the method needs one, and its file.
+    """Arm at one cycle, feedforward, identified model where the method needs or the user gives one, and its file.
 
     Args:
         robot: shipped robot or URDF; None for the one the model names.
@@ -159,7 +159,12 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
     arm, file = _arm(robot, model, method)
     if cycle is not None:
         arm = at_cycle(arm, cycle)
-    identified = None if described(method).needs == Needs.NOTHING else Model.load(file)
+    # A plain path, too, is watched better where the arm's loop is known.
+    identified = None if described(method).needs == Needs.NOTHING and model is None else Model.load(file)
+    if identified is not None and described(method).needs == Needs.NOTHING:
+        identified.require_arm(arm, file=file)
+        if identified.controller is None and identified.command is None:
+            identified = None
     law = feedforward(method, identified, arm, delay=int(delay))
     return arm, law, identified, file
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,20 @@ def test_a_plain_path_has_nothing_to_compare(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_plain_path_is_watched_by_the_loop_that_a_given_model_knows(tmp_path: Path) -> None:
+    path, shipped = written(tmp_path / "path.csv", q_d=motion()), shipped_model("kr6")
+    plain, watched = (planned_path(path, PlaySettings("rtde://127.0.0.1", "kr6", model=model))
+                      for model in (None, shipped))
+    assert plain.response is None
+    assert watched.response is not None
+    np.testing.assert_allclose(watched.response.sum(axis=0), 1.0, atol=0.05)
+    np.testing.assert_array_equal(plain.commands, watched.commands)
+    other = replace(Model.load(shipped), controller=None, command=None).save(tmp_path / "no_loop.json")
+    assert planned_path(path, PlaySettings("rtde://127.0.0.1", "kr6", model=other)).response is None
+    with pytest.raises(InputError, match="identified for this arm"):
+        planned_path(path, PlaySettings("rtde://127.0.0.1", "kr6", model=shipped_model("kr15")))
+
+
 def test_the_same_path_behind_rsi(tmp_path: Path) -> None:
     port = free_port()
     settings = PlaySettings(f"rsi://127.0.0.1:{port}", "kr6", rest=0.1, patience=PATIENCE)
