@@ -16,8 +16,8 @@ def drifting_lag(seed: int = 1, duration: float = 120.0, low: float = 0.084, hig
 
     The arm is identified by three of the five commands with the emulator's own lag of 125 ms. Measured on an arm, by
     the emulator's makers: 84 to 180 ms, by duty. Errors are desired minus measured joint positions at the same instant,
-    root mean squares over all joints, of the whole path and of its second half. With ``none`` no loop is known to the
-    guard, which stops an arm that lags by more than any of its table.
+    root mean squares over all joints, of the whole path and of its second half. The guard knows the identified loop
+    with every method, and that loops drift.
 
     Args:
         seed: of the path.

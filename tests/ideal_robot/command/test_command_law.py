@@ -14,7 +14,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
-from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape, _weights
+from ideal_robot.command.fit import probabilities, tones
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Rival, Shape, _weights
+from ideal_robot.command.motion import Motion
 from ideal_robot.command.recorded import command_cycle, moving_at_start, update_instants
 from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
@@ -201,6 +203,39 @@ def test_the_noise_of_positions_is_expected_again(tmp_path: Path, noise: float) 
     expected = np.sqrt(np.mean(inverse.expected(moved(9)[1][:4000]) ** 2, axis=0))
     assert np.all([0.9 * noise < own.noise < 1.1 * noise for own in law.joints])
     assert np.all(expected > 0.9 * noise)
+
+
+def test_another_law_that_may_be_right_is_in_what_is_expected_where_the_two_go_apart(tmp_path: Path) -> None:
+    """A law with another lag: beside the path by speed times the lags' difference, as often as it is right."""
+    arm = dataclasses.replace(robot(tmp_path), t_ipo=DT)
+    columns, covariance = (Column("velocity"),), np.zeros((1, 1))
+    usual = JointLaw(Shape(late=0.006), columns, np.array([0.05]), covariance, np.zeros(PARTS))
+    other = Rival(Shape(late=0.010), columns, np.array([0.052]), 0.25)
+    q_d = moved(3)[1][:4000]
+    expected = []
+    for rivals in ((), (other,)):
+        joint = dataclasses.replace(usual, rivals=rivals)
+        law = CommandLaw((joint,) * 2, DT, np.full(2, 0.01), np.zeros(2), np.ones(2))
+        model = dataclasses.replace(Model.nominal(arm), command=law)
+        assert CommandLaw.from_dict(law.to_dict()).to_dict() == law.to_dict()
+        expected.append(CommandInverse(model, arm).expected(q_d))
+    assert np.all(expected[0] == 0.0)
+    speed = np.abs(np.gradient(q_d, DT, axis=0))
+    # Of what is commanded 4 ms earlier and 2 ms of velocity more, a lag of 50 ms lets slow motions through.
+    assert np.sqrt(np.mean(expected[1] ** 2)) == pytest.approx(0.5 * 0.006 * np.sqrt(np.mean(speed**2)), rel=0.05)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_tones_of_a_motion_are_counted_and_tell_laws_apart(count: int) -> None:
+    t = 0.01 * np.arange(3000)
+    rng, frequencies = np.random.default_rng(count), 0.2 + 0.35 * np.arange(count)
+    q = sum(rng.uniform(0.2, 1.0) / f * np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 6.0)) for f in frequencies)
+    assert tones([Motion.of(np.asarray(q)[:, None], 0.01, np.array([0.01]))], 0) == count
+    alike, twice = probabilities([2e-5, 2e-5], 2 * count), probabilities([2e-5, 1e-5, 8e-5], 2 * count)
+    np.testing.assert_allclose(alike, 0.5)
+    assert twice.sum() == pytest.approx(1.0)
+    assert twice[0] / twice[1] == pytest.approx(0.25**count)
+    assert twice[2] < twice[0] < twice[1]
 
 
 def test_a_law_is_read_as_the_loop_that_answers_its_commands() -> None:
