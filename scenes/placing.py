@@ -25,6 +25,8 @@ from scenes.scene_files.scene import SceneError
 
 AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
+NEAR = (0.3, 0.2)
+"""… and, where the tool points down at none of them, nearer ones: of arms whose wrist is as long as their forearm …"""
 BELOW = (-0.2, -0.35, -0.05, 0.1, -0.5)
 """… heights of the surface from the second joint, and that at which the tool is on average …"""
 HEADINGS = (90.0, 0.0)
@@ -92,8 +94,9 @@ def place_line(scene: LineScene) -> Place:
         raise InputError(f"{robot.name} {where} below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
     # Where the arm cannot move the camera about any line, the line is placed as if it could.
-    for seeing, turn in product((True, False) if scene.calibration.by_moving else (False,), TURNS):
-        if (place := _placed(scene.changed(tool_turn_deg=turn), robot, seeing)) is not None:
+    for seeing, ahead, turn in product((True, False) if scene.calibration.by_moving else (False,), (AHEAD, NEAR),
+                                       TURNS):
+        if (place := _placed(scene.changed(tool_turn_deg=turn), robot, ahead, seeing)) is not None:
             return place
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
@@ -106,13 +109,16 @@ def _highest(robot: Robot) -> float:
     return float(np.quantile([fk(q).translation[2] for q in spread_postures(robot.q_min, robot.q_max)], 0.95))
 
 
-def _placed(scene: LineScene, robot: Robot, seeing: bool) -> Place | None:
-    """Where a line fits with the tool mounted as it is, and on request the camera is calibrated; None for nowhere."""
+def _placed(scene: LineScene, robot: Robot, ahead: tuple[float, ...], seeing: bool) -> Place | None:
+    """Where a line fits at some distances, with the tool mounted as it is; None for nowhere.
+
+    On request it is one over which the camera is calibrated.
+    """
     slow: Place | None = None
     for heading, share in product(HEADINGS, SIZES):
         best: Place | None = None
         wanted = min(FASTEST, wave(round(share * reach(robot), 2)) / PERIOD)
-        for candidate in _candidates(scene, robot, share, heading):
+        for candidate in _candidates(scene, robot, share, heading, ahead):
             speed = fits(candidate, candidate.arm, wanted)
             if (speed is not None and (best is None or speed > best.speed)
                     and (not seeing or calibrates(candidate, candidate.arm))):
@@ -152,14 +158,15 @@ def where_it_fits(scene: LineScene) -> str:
             f"heading_deg = {place.heading:g}{tool}; ideal-robot new NAME --robot writes such a scene")
 
 
-def _candidates(scene: LineScene, robot: Robot, share: float, heading: float) -> Iterator[LineScene]:
+def _candidates(scene: LineScene, robot: Robot, share: float, heading: float, distances: tuple[float, ...]
+                ) -> Iterator[LineScene]:
     """The scene with a line of a share of the reach, at the places that are tried, without a tool first."""
     size, shoulder = reach(robot), shoulder_height(robot)
     length = round(share * size, 2)
     turn = math.radians(heading)
     heights = dict.fromkeys(round(max(height, LOWEST), 2)
                             for height in (*(shoulder + below * size for below in BELOW), mean_height(robot)))
-    for tool, height, ahead in product(TOOLS, heights, AHEAD):
+    for tool, height, ahead in product(TOOLS, heights, distances):
         begin = np.array([ahead * size, 0.0]) - 0.5 * length * np.array([math.cos(turn), math.sin(turn)])
         origin = (round(float(begin[0]), 2), round(float(begin[1]), 2), height)
         yield resized(scene, length, origin, heading).changed(tool_mm=round(100.0 * tool * size) * 10.0)
