@@ -26,6 +26,8 @@ _LARGEST = 1e9
 
 _XACRO = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 """What stands before the names of xacro's commands."""
+_BELOW_ZERO = re.compile(r"""(\b(?:effort|velocity)\s*=\s*)(["'])\s*-[^"'<]*\2""")
+"""A limit below zero of efforts or speeds, in a text that ``check_text`` has passed."""
 
 
 def model_of(text: str, file: str | Path | None = None) -> pin.Model:
@@ -159,7 +161,11 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
 
 
 def _built(text: str, file: str | Path | None) -> pin.Model:
-    """Pinocchio's model; what its URDF library writes to standard error meanwhile goes into our one line."""
+    """Pinocchio's model; what its URDF library writes to standard error meanwhile goes into our one line.
+
+    An effort or a speed limit below zero stands for none, as 0 does: descriptions for planners say -1.
+    """
+    text = _BELOW_ZERO.sub(r'\g<1>"0"', text)
     with kept_words() as stream:
         try:
             return pin.buildModelFromXML(text)

@@ -401,6 +401,17 @@ def test_of_two_arms_one_is_used_and_told(lift: bool, tmp_path: Path) -> None:
     assert not any("arms that begin" in told for told in other.assumed)
 
 
+@pytest.mark.parametrize("none", ['effort="-1" velocity="2"', "effort='-1.0' velocity = '-1'",
+                                  'effort="10" velocity="-1"'])
+def test_limits_below_zero_are_none(none: str, tmp_path: Path) -> None:
+    below, zero = (of_its_size(Robot.load(written(tmp_path, urdf(6, limit=f'lower="-2" upper="2" {limit}'), name)))
+                   for limit, name in ((none, "below"), (re.sub(r"-[\d.]+", "0", none), "zero")))
+    np.testing.assert_allclose(below.tau_max, zero.tau_max)
+    np.testing.assert_allclose(below.v_max, zero.v_max)
+    assert (below.tau_max > 1.0).all()
+    assert below.assumed == zero.assumed
+
+
 def test_values_that_xacro_left_defined_change_nothing_unless_they_are_used(tmp_path: Path) -> None:
     text = urdf(6).replace('<robot name="bare">', '<robot name="bare" xmlns:xacro="http://www.ros.org/wiki/xacro">'
                            '<xacro:property name="width" value="0.2"/>')
