@@ -140,7 +140,7 @@ class _Reading:
         topics = states or sorted(kinds)
         if not topics:
             types = ", ".join(sorted({c.msgtype for c in self._reader.connections})) or "nothing"
-            raise InputError(f"no {_STATE} messages; the bag holds {types}", file=self._path)
+            raise InputError(f"no {_STATE} messages; the bag holds {types}: record /joint_states", file=self._path)
         if wanted is not None:
             fitting = [t for t in sorted(kinds) if t == wanted] or [t for t in topics if wanted.strip("/") in t]
             if len(fitting) != 1:
