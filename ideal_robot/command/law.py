@@ -29,7 +29,7 @@ from ideal_robot.command.terms import TERMS, Term
 from ideal_robot.errors import InputError
 from ideal_robot.results import plain
 
-_FINER = 0.75
+FINER = 0.75
 """Share of the interpolation cycle below which commands are logged more finely than they are handed over."""
 _LONGEST = 2.0
 """Lateness, smoothing, and times of the command's poles, at most [s]: no joint controller is slower."""
@@ -243,7 +243,7 @@ class CommandLaw:
         Args:
             t_ipo: from command to command, as they are handed over [s].
         """
-        return t_ipo if self.t_cycle < _FINER * t_ipo else 0.0
+        return t_ipo if self.t_cycle < FINER * t_ipo else 0.0
 
     @property
     def deviation(self) -> Array:

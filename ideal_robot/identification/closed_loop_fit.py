@@ -1,7 +1,7 @@
 """The closed loop of each joint from recordings with commands: the controller's cascade, and impulse responses.
 
 [G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
-A recording at the position loop's cycle allows better: the cascade
+A recording that resolves what the loops answer with allows better: the cascade
 
     r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ + k_a r̈ - q̇_f
     τ = k_p u + k_i ∫u + τ_c tanh(ṙ / v_c) + c
@@ -30,8 +30,10 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares, minimize_scalar, nnls
 from scipy.signal import butter, filtfilt, lfilter
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.command.fit import LATE
+from ideal_robot.command.law import FINER
+from ideal_robot.command.recorded import update_instants
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
@@ -48,6 +50,8 @@ _SEEN = 0.9
 lateness there is one that differs from it by noise alone."""
 _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
+_COARSEST = 0.25 / _CUTOFF
+"""Longest cycle of a recording: four samples a period of that frequency, between which a spline is the motion [s]."""
 _ROWS = 8
 """Rows that are kept of a period of that frequency."""
 _SEARCHED = 3
@@ -75,8 +79,7 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     """Cascade gains of every joint, from a recording in which all joints move.
 
     Args:
-        recording: with ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle
-            or a few times slower.
+        recording: with ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` every 20 ms at least.
         robot: cycles, and the bodies of the data sheet.
         rotors: inertias of the rotors by the data sheet ``(n,)`` [kg m²], for gains that follow what a joint moves;
             None where these are not to be looked for.
@@ -85,8 +88,8 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
         InputError: a missing column, too slow a sampling, a joint that does not move.
     """
     cycle = float(np.median(np.diff(recording.t)))
-    if cycle > 2.5 * robot.t_position:
-        raise InputError(f"the closed loop needs samples every {1e3 * robot.t_position:g} ms", file=recording.source,
+    if cycle > _COARSEST:
+        raise InputError(f"the closed loop needs samples every {1e3 * _COARSEST:.3g} ms", file=recording.source,
                          field="t", value=cycle)
     for i in range(recording.n):
         if np.ptp(recording.columns[f"q_{i + 1}"]) < 0.02:
@@ -101,7 +104,7 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     sheets, moved = ([], None) if rotors is None else _sheets(parts, robot, rotors)
     joints = [_joints(parts, robot, averaged, sheets) for averaged in (False, True)]
     plain = _fitted(joints, _Channel())
-    before = _sought(joints[0], plain[0])
+    before = _sought(plain[1], robot.t_ipo)
     fits = [plain, *([] if before is None else [_fitted(joints, before)])]
     more = [channel for fit, each in fits if (channel := _helped(each, fit)) is not None]
     best = plain[0]
@@ -145,9 +148,10 @@ class _Channel(NamedTuple):
     accelerated: bool = False
 
 
-_CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
-                  for low in (0.001, 0.003, 0.006, 0.015, 0.04, 0.08) for late in LATE if order == _ORDER or low > 0.01)
-"""Ways of the commands that are tried; a single short lag is as good as two of half its time."""
+_SHORT = (0.001, 0.003, 0.006)
+"""Times of low-passes of commands that every controller may have [s]."""
+_LONG = (0.015, 0.04, 0.08)
+"""Longer ones [s]; a single one is as good as two of half its time."""
 
 
 class _Fitted(NamedTuple):
@@ -206,22 +210,47 @@ def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, sheets: Se
         averaged: as of ``_JointCascade``.
         sheets: what the data sheet says of each stretch; empty where that is not looked at.
     """
-    return [_Stretches([_JointCascade(part.columns[f"q_c_{i + 1}"], part.columns[f"q_{i + 1}"],
-                                      part.columns[f"tau_{i + 1}"], _step(part), robot.t_velocity, averaged,
+    forced = [commands_in_force(part, robot) for part in parts]
+    return [_Stretches([_JointCascade(forced[k][:, i], part.columns[f"q_{i + 1}"], part.columns[f"tau_{i + 1}"],
+                                      _step(part), robot.t_velocity, averaged,
                                       _Sheet(*(rows[:, i] for rows in sheets[k])) if sheets else None)
                         for k, part in enumerate(parts)]) for i in range(parts[0].n)]
 
 
-def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
-    """The way of the commands before the cascades; None where short low-passes explain as much.
+def commands_in_force(part: Recording, robot: Robot) -> Array:
+    """Set points of the position loops ``(K (N - 1) + 1, n)`` [rad], K of their cycles in each of the recording's.
+
+    A log that is finer than the interpolation cycle holds them. One that holds the commands as they are handed over
+    is a cycle ahead of them: they are lines, each of which reaches its command at its cycle's end.
+
+    Args:
+        part: evenly sampled, with ``q_c_i`` ``(N,)``.
+        robot: cycles.
+    """
+    q_c, t, cycle = part.joints("q_c"), part.t - part.t[0], _step(part)
+    rows = update_instants(t, q_c)
+    handed_over = float(np.median(np.diff(t[rows])))
+    finer = max(round(cycle / robot.t_position), 1)
+    at = cycle / finer * np.arange(finer * (len(t) - 1) + 1)
+    # Where drive data name no interpolation cycle it is that of the log.
+    if "t_ipo" in robot.data.get("controller", {}) and handed_over < FINER * robot.t_ipo:
+        return interpolated(at, cycle * np.arange(float(len(t))), q_c)
+    return interpolated(at - handed_over, cycle * rows, q_c[rows])
+
+
+def _sought(joints: Sequence[_Stretches], t_ipo: float) -> _Channel | None:
+    """The way of the commands before the cascades; None where short low-passes explain most.
+
+    All joints tell, each by the logarithm of what is left of its torque.
 
     Args:
         joints: of the arm.
-        plain: their cascades without.
+        t_ipo: from command to command [s]: what is late is so by whole cycles first of all.
     """
-    worst = int(np.argmax(plain.error))
-    channel = min(_CHANNELS, key=joints[worst].least)
-    if _fit_joint(joints[worst], channel, free="late")[1] ** 2 > _SEEN * plain.error[worst] ** 2:
+    channels = [_Channel(order, low, late) for order in (_ORDER, 1) for low in (*_SHORT, *_LONG)
+                for late in (*LATE, t_ipo, 2.0 * t_ipo) if order == _ORDER or low in _LONG]
+    channel = min(channels, key=lambda one: float(np.mean([np.log(joint.least(one)) for joint in joints])))
+    if channel.low in _SHORT and not channel.late:
         return None
     return _agreed(joints, channel, "late")
 
@@ -335,11 +364,11 @@ class _JointCascade:
     """The cascade of one joint over a stretch without a gap: its torque as a linear form of products of gains.
 
     Attributes:
-        q_c, q: commands and motor angles at the recording's cycle ``(N,)`` [rad].
+        q_c, q: commands in force and motor angles at the position loop's cycle ``(K (N - 1) + 1,)`` [rad].
         tau, before: the torque below ``_CUTOFF`` about its mean, without the ends ``(M,)`` [N m], and that before the
             mass matrix; the same where no data sheet is looked at.
         angle: motor angles every ``t_velocity`` [rad].
-        cycle, t_velocity: cycles of the recording and of the velocity loop [s].
+        cycle, t_position, t_velocity: cycles of the recording, of position and velocity loop [s].
         every: steps of the velocity loop in a cycle of the recording.
         averaged: whether a torque is the mean since the last sample.
         sheet: what the data sheet says of the joint, ``(N,)`` each; None where that is not looked at.
@@ -349,16 +378,19 @@ class _JointCascade:
                  averaged: bool = False, sheet: _Sheet | None = None) -> None:
         self.averaged, self.sheet = averaged, sheet
         # A logged cycle is measured, and rarely a whole number of the controller's: its steps are fitted into it.
-        self.every = max(round(cycle / t_velocity), 1)
+        finer = (len(q_c) - 1) // (len(q) - 1)
+        inner = max(round(cycle / finer / t_velocity), 1)
+        self.every = finer * inner
         if abs(self.every * t_velocity - cycle) > 1e-9 * cycle:
             t_velocity = cycle / self.every
-        self.q_c, self.q, self.cycle, self.t_velocity = q_c, q, cycle, t_velocity
+        self.q_c, self.cycle, self.t_position, self.t_velocity = q_c, cycle, cycle / finer, t_velocity
         self._low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
         # More rows say nothing more.
         self._every = max(int(1.0 / (_ROWS * _CUTOFF * cycle)), 1)
         # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
         fine = t_velocity * np.arange(self.every * (len(q) - 1) + 1)
         self.angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
+        self.q = self.angle[::inner]
         # A search changes one time after the other.
         self._commanded, self._moved, self._added = (
             lru_cache(_SEARCHED)(columns) for columns in (self._of_commands, self._of_velocity, self._of_bodies))
@@ -387,11 +419,12 @@ class _JointCascade:
 
     def _of_commands(self, low: float, channel: _Channel) -> Array:
         """Columns of position error, rate, their integrals, acceleration and what turns with the rate ``(M, 4...)``."""
-        at = self.cycle * np.arange(float(len(self.q_c)))
+        step = self.t_position
+        at = step * np.arange(float(len(self.q_c)))
         command = np.interp(at - channel.late, at, self.q_c) if channel.late else self.q_c
-        r = _low_passed(command, self.cycle, low, channel.order)
-        rate = _differentiated(r, self.cycle, channel.rate)
-        more = [*([_differentiated(rate, self.cycle, channel.rate)] if channel.accelerated else []),
+        r = _low_passed(command, step, low, channel.order)
+        rate = _differentiated(r, step, channel.rate)
+        more = [*([_differentiated(rate, step, channel.rate)] if channel.accelerated else []),
                 *([np.tanh(rate / channel.turns)] if channel.turns else [])]
         both = self._held(np.column_stack([r - self.q, rate]), channel.schedule)
         # What drives add does not follow the inertia; accelerations do as the loops' gains.
@@ -410,8 +443,9 @@ class _JointCascade:
         return self._logged(self._held((self.sheet.added if coupled else self.sheet.torque)[:, None], 0.0))
 
     def _held(self, values: Array, schedule: float) -> Array:
-        """Values of the position loop ``(N, k)``, held over its cycle: they act from the instant of the sample on."""
-        return self._following(np.repeat(values, self.every, axis=0)[: len(self.angle)], schedule)
+        """Values of each cycle ``(M, k)``, held over it: they act from its instant on."""
+        each = -(-len(self.angle) // len(values))
+        return self._following(np.repeat(values, each, axis=0)[: len(self.angle)], schedule)
 
     def _following(self, values: Array, schedule: float) -> Array:
         """Rows every ``t_velocity``, times the gains where they follow the inertia by a share."""
