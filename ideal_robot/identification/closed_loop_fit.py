@@ -104,7 +104,7 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     sheets, moved = ([], None) if rotors is None else _sheets(parts, robot, rotors)
     joints = [_joints(parts, robot, averaged, sheets) for averaged in (False, True)]
     plain = _fitted(joints, _Channel())
-    before = _sought(plain[1], robot.t_ipo)
+    before = _sought(joints[0], robot.t_ipo)
     fits = [plain, *([] if before is None else [_fitted(joints, before)])]
     more = [channel for fit, each in fits if (channel := _helped(each, fit)) is not None]
     best = plain[0]
