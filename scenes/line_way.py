@@ -92,12 +92,14 @@ def line_way(scene: LineScene, robot: Robot, points: Array | None = None, surfac
     """
     points = reference_points(scene) if points is None else points
     up = scene.surface.pose().rotation[:, 2]
-    reference = ReferencePath(points, up=up, turning=1.0)
     if surface is not None:
         found = ReferencePath(points @ surface.rotation.T + surface.translation, up=surface.rotation @ up, turning=1.0)
         # The posture in which fewer than seven joints take a place is the one nearest to home, wherever the place is.
-        path = JointPath.of(robot, found) if robot.n <= 6 else _moved(robot, found, JointPath.of(robot, reference))
-        return LineWay(scene, robot, found, path)
+        if robot.n <= 6:
+            return LineWay(scene, robot, found, JointPath.of(robot, found))
+        assumed = JointPath.of(robot, ReferencePath(points, up=up, turning=1.0))
+        return LineWay(scene, robot, found, _moved(robot, found, assumed))
+    reference = ReferencePath(points, up=up, turning=1.0)
     path = JointPath.of(robot, reference)
     check_clear(shapes_about(scene, robot), path)
     return LineWay(scene, robot, reference, path, tuple(_beside(scene, robot, reference, path)))
