@@ -5,6 +5,8 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Tests whose assertions pytest has rewritten, and modules that Python has compiled, are kept for the next process.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test pytest test-all test-part docs docs-notebooks docs-figures bench models check clean
 
