@@ -232,8 +232,7 @@ def commands_in_force(part: Recording, robot: Robot) -> Array:
     handed_over = float(np.median(np.diff(t[rows])))
     finer = max(round(cycle / robot.t_position), 1)
     at = cycle / finer * np.arange(finer * (len(t) - 1) + 1)
-    # Where drive data name no interpolation cycle it is that of the log.
-    if "t_ipo" in robot.data.get("controller", {}) and handed_over < FINER * robot.t_ipo:
+    if handed_over < FINER * robot.t_ipo:
         return interpolated(at, cycle * np.arange(float(len(t))), q_c)
     return interpolated(at - handed_over, cycle * rows, q_c[rows])
 

@@ -257,6 +257,14 @@ def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
         np.testing.assert_allclose(gains, true, rtol=0.04)
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_set_points_that_are_logged_finely_are_in_force_whoever_names_the_cycle(named: bool) -> None:
+    data = ROBOT.data if named else {name: table for name, table in ROBOT.data.items() if name != "controller"}
+    arm, t = dataclasses.replace(ROBOT, data=data), ROBOT.t_position * np.arange(500)
+    q_c = np.sin(3.0 * t)[:, None]
+    np.testing.assert_array_equal(commands_in_force(Recording.from_arrays(t, q_c=q_c, q=q_c), arm), q_c)
+
+
 @pytest.mark.parametrize("cycles", [2, 4, 6])
 def test_gains_are_found_from_a_log_of_commands_as_they_were_handed_over(cycles: int) -> None:
     """At the interpolation cycle, several of the position loop's: set points in force are lines a cycle later."""
