@@ -445,6 +445,8 @@ def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
         array = getattr(law, key)
         if array.shape != (n,) or not np.all(np.isfinite(array)) or (key != "middle" and np.any(array <= 0.0)):
             refuse(key, f"{n} finite numbers" + ("" if key == "middle" else " above 0"))
+    if law.doubt is not None and (law.doubt.shape != (n,) or not np.all((law.doubt >= 0.0) & (law.doubt <= 1.0))):
+        refuse("doubt", f"{n} probabilities from 0 to 1")
     if law.torque not in ("model", "none"):
         refuse("torque", "model or none", law.torque)
     for j, own in enumerate(law.joints):
