@@ -29,7 +29,7 @@ from ideal_robot.command.terms import TERMS, Term
 from ideal_robot.errors import InputError
 from ideal_robot.results import plain
 
-FINER = 0.75
+_FINER = 0.75
 """Share of the interpolation cycle below which commands are logged more finely than they are handed over."""
 _LONGEST = 2.0
 """Lateness, smoothing, and times of the command's poles, at most [s]: no joint controller is slower."""
@@ -243,7 +243,7 @@ class CommandLaw:
         Args:
             t_ipo: from command to command, as they are handed over [s].
         """
-        return t_ipo if self.t_cycle < FINER * t_ipo else 0.0
+        return t_ipo if logged_finely(self.t_cycle, t_ipo) else 0.0
 
     @property
     def deviation(self) -> Array:
@@ -397,6 +397,15 @@ class CommandLaw:
                                   for key in ("cascade", "cascade_error", "doubt"))
         return cls(tuple(joints), float(values["t_cycle"]), array(values["still"]), array(values["middle"]),
                    array(values["width"]), str(values["torque"]), cascade, missed, bool(values["leads"]), doubt)
+
+
+def logged_finely(t_cycle: float, t_ipo: float) -> bool:
+    """Whether a log holds set points in force, more finely than commands are handed over, and not these commands.
+
+    Args:
+        t_cycle, t_ipo: from command to command in the log, and as they are handed over [s].
+    """
+    return t_cycle < _FINER * t_ipo
 
 
 def _terms(law: JointLaw | Rival) -> dict[str, Any]:

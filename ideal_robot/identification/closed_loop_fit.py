@@ -32,8 +32,8 @@ from scipy.signal import butter, filtfilt, lfilter
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.command.fit import LATE
-from ideal_robot.command.law import FINER
-from ideal_robot.command.recorded import update_instants
+from ideal_robot.command.law import logged_finely
+from ideal_robot.command.recorded import command_cycle, update_instants
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
@@ -228,12 +228,12 @@ def commands_in_force(part: Recording, robot: Robot) -> Array:
         robot: cycles.
     """
     q_c, t, cycle = part.joints("q_c"), part.t - part.t[0], _step(part)
-    rows = update_instants(t, q_c)
-    handed_over = float(np.median(np.diff(t[rows])))
+    handed_over = command_cycle([part], "q_c")
     finer = max(round(cycle / robot.t_position), 1)
     at = cycle / finer * np.arange(finer * (len(t) - 1) + 1)
-    if handed_over < FINER * robot.t_ipo:
+    if logged_finely(handed_over, robot.t_ipo):
         return interpolated(at, cycle * np.arange(float(len(t))), q_c)
+    rows = update_instants(t, q_c)
     return interpolated(at - handed_over, cycle * rows, q_c[rows])
 
 
