@@ -18,6 +18,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
+from sim.devices.datagrams import sent_when_open
 
 # Protobuf's wire format: fields of a number and a kind, 0 a number of variable length, 1 eight bytes, 2 with a length.
 
@@ -242,13 +243,13 @@ class EgmController:
         reference = self.arm.truth.q_m.copy()
         state = RobotState(self.arm.t, reference, np.zeros(self.arm.robot.n))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.connect(self.address)
             begin = time.perf_counter()
             for k in range(cycles):
                 message = self.message(k, state, reference)
                 sent = [message] if self.disturbance is None else self.disturbance(k, message)
-                for piece in sent:
-                    link.sendto(piece, self.address)
                 end = time.perf_counter() + (self.arm.t_ipo if self.timeout is None else self.timeout)
+                sent_when_open(link, sent, end, self._stopped.is_set)
                 wanted = self.answer(link, end) if sent else None
                 if self._stopped.is_set():
                     run.ended = "stopped"

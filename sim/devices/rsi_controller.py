@@ -26,6 +26,7 @@ from ideal_robot.rsi.link import received, stamp_arrivals
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from sim.devices.datagrams import sent_when_open
 from sim.devices.rsi_pose import PoseMotion, numbers
 
 _ANSWER = re.compile(r'<Sen Type="ImFree">.*<(AK|RKorr)((?: \w{1,2}="[-+.\d]+")+)/>.*<IPOC>(\d{1,18})</IPOC></Sen>',
@@ -96,14 +97,14 @@ class RsiController:
         silent, late, ended = 0, 0, "all cycles played"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
             stamp_arrivals(link)
+            link.connect(self.address)
             begin = time.perf_counter()
             for k in range(cycles):
                 stamp = (IPOC + k * round(1e3 * self.arm.t_ipo)) % 2**32
                 packet = self.packet(state, start, late, stamp)
                 sent = [packet] if self.disturbance is None else self.disturbance(k, packet)
-                for piece in sent:
-                    link.sendto(piece, self.address)
                 end = time.perf_counter() + (self.arm.t_ipo if self.timeout is None else self.timeout)
+                sent_when_open(link, sent, end, self._stopped.is_set)
                 correction = self.answer(link, stamp, end) if sent else None
                 if self._stopped.is_set():
                     ended = "stopped"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -203,7 +204,7 @@ print("moved", np.array(state.joint_angles) - begin, flush=True)
 def test_clients_of_others_lead_our_controller(module: str) -> None:
     if importlib.util.find_spec(module.split(".")[0]) is None:
         pytest.skip(f"{module} is not installed")
-    port = free_port()
+    port = free_port(socket.SOCK_DGRAM)
     client = subprocess.Popen([sys.executable, "-c", CLIENT.format(module=module, port=port)], stdout=subprocess.PIPE,
                               stderr=subprocess.PIPE, text=True)
     assert client.stdout is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -109,7 +110,7 @@ def test_a_plain_path_is_watched_by_the_loop_that_a_given_model_knows(tmp_path: 
 
 
 def test_the_same_path_behind_rsi(tmp_path: Path) -> None:
-    port = free_port()
+    port = free_port(socket.SOCK_DGRAM)
     settings = PlaySettings(f"rsi://127.0.0.1:{port}", "kr6", rest=0.1, patience=PATIENCE)
     planned = planned_path(written(tmp_path / "path.csv", q=motion()), settings)
     away = ROBOT.home + 0.1

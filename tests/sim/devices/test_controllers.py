@@ -23,7 +23,8 @@ from sim.devices.rsi_controller import RsiController
 from sim.devices.rtde_controller import RtdeController
 from sim.devices.served_arm import ServedArm, ServedRtde, Session
 from sim.devices.stream_server import Unkindness
-from tests.sim.devices.controllers import serving
+from tests.sim.devices.controllers import PATIENCE, controlled, serving
+from tests.sources import free_port
 
 ROBOT = Robot.load("kr6")
 REGISTERS = ",".join([*(f"input_double_register_{24 + i}" for i in range(6)), "input_int_register_24"]).encode()
@@ -241,3 +242,11 @@ def test_a_session_that_has_ended_is_not_gone_on_with() -> None:
             with pytest.raises(RsiError, match="no packet"):
                 play(follower, [q] * 500)
     assert [session.ended for session in sessions] == ["no answer for 100 ms"]
+
+
+def test_a_controller_in_lockstep_waits_for_a_program_that_opens_its_port_later() -> None:
+    port = free_port(socket.SOCK_DGRAM)
+    with (SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm, controlled(arm, port)):
+        time.sleep(0.2)
+        with RsiRobot(ROBOT, port=port, timeout=PATIENCE) as link:
+            np.testing.assert_allclose(link.connect(PATIENCE / 4.0).q, ROBOT.home, atol=1e-3)
