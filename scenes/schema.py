@@ -14,7 +14,7 @@ import json
 import re
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, get_args
@@ -142,10 +142,12 @@ def commented_scene(name: str, kind: str, example: str) -> str:
 def keys_pages() -> dict[str, str]:
     """The pages of all keys, in Markdown: one by kind of scene, one of the world, and one that leads to them."""
     about = {kind: (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0] for kind in KINDS.names()}
-    pages = {f"scene_keys/{kind}.md": f"# Keys of {kind} scenes\n\n{about[kind]}\n\n{_table(scene_keys(kind))}"
-             for kind in about}
+    told: dict[str, str] = {}
+    pages = {f"scene_keys/{kind}.md":
+             f"# Keys of {kind} scenes\n\n{about[kind]}\n\n{_tables_of(scene_keys(kind), told, kind)}"
+             for kind in sorted(about, key=["line", "path"].__contains__, reverse=True)}
     pages["scene_keys/world.md"] = ("# Keys of the simulated world\n\nThe table `[world]` of every kind of scene. "
-                                    f"Defaults are the robot's.\n\n{_table(world_keys())}")
+                                    f"Defaults are the robot's.\n\n{_tables_of(world_keys(), {}, 'world')}")
     about["world"] = "What is simulated, in every kind of scene."
     rows = [f"| [{name}](scene_keys/{name}.md) | {text} |" for name, text in about.items()]
     pages["scene_keys.md"] = "\n".join([
@@ -156,13 +158,40 @@ def keys_pages() -> dict[str, str]:
     return pages
 
 
-def _table(keys: tuple[Key, ...]) -> str:
-    rows = ["| table | key | default | allowed | meaning |", "| --- | --- | --- | --- | --- |"]
-    for key in keys:
-        default = "**required**" if key.required else f"`{key.default}`" if key.default is not None else "–"
-        cells = (f"`{key.table}`" if key.table else "", f"`{key.name}`", default, key.allowed, key.meaning)
-        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(rows) + "\n"
+def _tables_of(keys: tuple[Key, ...], told: dict[str, str], page: str) -> str:
+    """A section for each table of the file; one that another page has in the same form is a link to it.
+
+    Args:
+        keys: of the page.
+        told: sections of the pages before, and which of them has each; those of this one are added.
+        page: this one's name.
+    """
+    sections, elsewhere = [], []
+    for (table, many), of_table in itertools.groupby(keys, key=lambda key: (key.table, key.many)):
+        header = f"[[{table}]]" if many else f"[{table}]"
+        section = "\n\n".join([f"## `{header}`" if table else "## At the top", "\n".join(_rows(of_table))])
+        if told.setdefault(section, page) == page:
+            sections.append(section)
+        else:
+            elsewhere.append(f"{f'`{header}`' if table else 'The top'} as in [{told[section]}]({told[section]}.md)")
+    if elsewhere:
+        sections += ["## The same elsewhere", f"{', '.join(elsewhere)}."]
+    return "\n\n".join(sections) + "\n"
+
+
+def _rows(keys: Iterable[Key]) -> Iterator[str]:
+    """Rows of a table; keys that share default, limits and sentence share one, and a column of nothing is left out."""
+    rows = []
+    for cells, group in itertools.groupby(keys, key=lambda key: (
+            "**required**" if key.required else f"`{key.default}`" if key.default is not None else "",
+            key.allowed, key.meaning)):
+        rows.append([", ".join(f"`{key.name}`" for key in group), *(cell.replace("|", "\\|") for cell in cells)])
+    titles = ["key", "default", "allowed", "meaning"]
+    columns = [column for column in zip(titles, *rows, strict=True) if any(column[1:])]
+    for i, row in enumerate(zip(*columns, strict=True)):
+        yield f"| {' | '.join(row)} |"
+        if i == 0:
+            yield "| --- " * len(columns) + "|"
 
 
 def _keys(model: type[pydantic.BaseModel], table: str, many: bool) -> Iterator[Key]:
