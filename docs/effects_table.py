@@ -21,13 +21,17 @@ def change_of(effect: Effect) -> LoopChange:
 
 
 def acting_table() -> str:
-    """Markdown between the marks: one row an effect and place where it shows, with where it acts or why it does not."""
-    rows = ["| effect | shows in | acts in |", "| --- | --- | --- |"]
+    """Markdown between the marks: effects by where they act, or why they do not, with the channels where each shows."""
     curve = Unknown(("q_1",), False, ((0.0, 1.0),))
+    by_place: dict[str, dict[str, list[str]]] = {}
     for effect in (*library(), curve):
         change = change_of(effect)
-        where = "; ".join(change.places) or f"nowhere ({change.nowhere})"
-        rows.append(f"| `{effect.name}` | `{effect.channel_prefix}` | {where} |")
+        place = "; ".join(change.places) or f"nowhere ({change.nowhere})"
+        by_place.setdefault(place, {}).setdefault(effect.name, []).append(effect.channel_prefix)
+    rows = ["| acts in | effects, and where they show |", "| --- | --- |"]
+    for place, effects in by_place.items():
+        cell = ", ".join(f"`{name}` ({', '.join(channels)})" for name, channels in effects.items())
+        rows.append(f"| {place} | {cell} |")
     return "\n".join([BEGIN, *rows, END])
 
 
