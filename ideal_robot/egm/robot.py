@@ -108,8 +108,8 @@ class EgmRobot(LinkedRobot):
     def _handed_over(self, q_c: Array) -> None:
         self._answer(q_c)
 
-    def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next message.
+    def _received(self) -> RobotState:
+        """See ``LinkedRobot.receive``: waits for the next message.
 
         Raises EgmError for silence, an arm that the controller has stopped, more missed than can be bridged.
         """

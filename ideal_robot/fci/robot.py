@@ -132,8 +132,8 @@ class FciRobot(LinkedRobot):
         self._knots = np.vstack([self._knots[1:], q_c])
         self._write()
 
-    def receive(self) -> RobotState:
-        """The second half of ``cycle``: answers the milliseconds in between and waits for the cycle's end.
+    def _received(self) -> RobotState:
+        """See ``LinkedRobot.receive``: answers the milliseconds in between and waits for the cycle's end.
 
         Raises FciError where the controller has stopped the arm, or was not heard for too long.
         """

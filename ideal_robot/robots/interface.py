@@ -382,7 +382,7 @@ class LinkedRobot(ABC):
     """A ``RobotInterface`` to an arm behind a link on which cycles may be missed.
 
     Where one was missed, the next commands lead from what the controller has in force back to what is wanted. An
-    interface says what its packets are (``_handed_over``, ``receive``); what follows from them is the same for all:
+    interface says what its packets are (``_handed_over``, ``_received``); what follows from them is the same for all:
     ``_at_rest``, ``_bridged`` and ``_looked_at``.
 
     Args:
@@ -424,6 +424,7 @@ class LinkedRobot(ABC):
         self.robot, self.t_ipo, self.counts = robot, robot.t_ipo, LinkCounts()
         self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
         self.fault: str | None = None
+        self._lost: str | None = None
         self.commanded = self._wanted = self._step = np.full(robot.n, np.nan)
         self.answer_times = array("d")
         self.gone_on, self.missed = 0, False
@@ -454,6 +455,7 @@ class LinkedRobot(ABC):
 
     def _want(self, q_c: Array) -> Array:
         """Notes what is wanted from now on, and by how much that is further than before."""
+        self._check_link()
         q_c, self._before = checked_command(self.robot, q_c, self._wanted, self.t_ipo), (self._wanted, self._step)
         self._step, self._wanted = q_c - self._wanted, q_c
         return q_c
@@ -509,7 +511,7 @@ class LinkedRobot(ABC):
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""
         self.commanded = self._wanted = commanded
-        self._step = np.zeros(self.robot.n)
+        self._step, self._lost = np.zeros(self.robot.n), None
         self._watch.begin(commanded, measured)
 
     def _bridged(self, since: int) -> None:
@@ -534,9 +536,27 @@ class LinkedRobot(ABC):
             self.counts.implausible = self._watch.missing
         return q
 
-    @abstractmethod
     def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next packet."""
+        """The second half of ``cycle``: waits for the next packet.
+
+        Raises ``lost_link`` where the link is broken, and from then on at once, as every command does: a controller
+        that is heard again later was started anew, and its arm is not where commands from before lead on.
+        """
+        self._check_link()
+        try:
+            return self._received()
+        except self.lost_link as error:
+            self._lost = str(error)
+            raise
+
+    def _check_link(self) -> None:
+        """Raises ``lost_link`` where the link was lost."""
+        if self._lost is not None:
+            raise self.lost_link(self._lost)
+
+    @abstractmethod
+    def _received(self) -> RobotState:
+        """See ``receive``."""
 
     @abstractmethod
     def close(self) -> None:

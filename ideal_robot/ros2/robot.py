@@ -106,8 +106,8 @@ class Ros2Robot(LinkedRobot):
         self._publisher.publish(self._trajectory(q_c) if self.trajectory
                                 else self._message(data=q_c[self._order].tolist()))
 
-    def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next joint state.
+    def _received(self) -> RobotState:
+        """See ``LinkedRobot.receive``: waits for the next joint state.
 
         Raises Ros2Error for silence, stamps that stand still, more missed than can be bridged.
         """

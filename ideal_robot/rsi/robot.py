@@ -193,7 +193,7 @@ class RsiRobot(LinkedRobot):
         self._first = self._last = first
         self._late = first.late or 0
         self.corrections.begin(held, first)
-        self._step = np.zeros(self.robot.n)
+        self._step, self._lost = np.zeros(self.robot.n), None
         self.commanded = self._wanted = self.axes.joints(held)
         if self.relative and first.late is None:
             # Increments may get lost without a word: they add up until the next rest.
@@ -225,8 +225,8 @@ class RsiRobot(LinkedRobot):
             self._in_force.send(correction)
         self._answer_with(correction)
 
-    def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next packet.
+    def _received(self) -> RobotState:
+        """See ``LinkedRobot.receive``: waits for the next packet.
 
         Raises RsiError for silence, packets lost for longer than can be bridged, another cycle time than the robot's.
         """

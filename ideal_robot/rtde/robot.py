@@ -135,8 +135,8 @@ class RtdeRobot(LinkedRobot):
         self._number = self._number % (2**31 - 1) + 1
         self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
 
-    def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next data package.
+    def _received(self) -> RobotState:
+        """See ``LinkedRobot.receive``: waits for the next data package.
 
         Raises RtdeError for silence, a broken connection, an arm stopped by its safety system, a program that ended,
         more missed than can be bridged.

@@ -128,8 +128,8 @@ class StreamMotionRobot(LinkedRobot):
         self._command(q_c, last=False)
         self._answered = True
 
-    def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next status.
+    def _received(self) -> RobotState:
+        """See ``LinkedRobot.receive``: waits for the next status.
 
         Raises StreamMotionError for silence, an arm that the controller has stopped, more missed than can be bridged.
         """

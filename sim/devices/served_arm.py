@@ -163,7 +163,7 @@ class ServedArm:
 
     def _answered(self, session: Session) -> bool:
         """Tells the state and takes the answer to it into ``_pose``; whether one came in time."""
-        self._ipoc = (self._ipoc + round(1e3 * self._T)) % 2**32
+        self._tick()
         self._send(self._wire.packet(self._state, self._begin, session.late, self._ipoc))
         correction = self._wire.answer(self._link, self._ipoc, self._until())
         if correction is not None and self._rng.random() < self._unkind.loss:
@@ -175,6 +175,10 @@ class ServedArm:
             self._command = before + self._step
         self._step, self._pose = self._command - before, self._sign * np.radians(self._command)
         return correction is not None
+
+    def _tick(self) -> None:
+        """The controller's time goes on, whether anybody leads its arm or not."""
+        self._ipoc = (self._ipoc + round(1e3 * self._T)) % 2**32
 
     def _until(self) -> float:
         """Time until which an answer is used, by ``time.perf_counter`` [s]."""
@@ -240,6 +244,7 @@ class ServedArm:
         self.anew()
 
     def _moved(self, q: Array, session: Session | None = None) -> None:
+        self._tick()
         self._state = self.arm.cycle(q)
         if session is not None:
             session.commands.append(q)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import tracemalloc
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,11 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.arrays import Array, held
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.arm_class import MASS, class_of
 from ideal_robot.robots.collisions import FLOOR, Shapes
-from ideal_robot.robots.interface import CatchUp
+from ideal_robot.robots.interface import CatchUp, LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import of_its_size, reach
 from ideal_robot.robots.urdf import without_meshes
@@ -246,6 +247,49 @@ def test_the_joints_keep_step() -> None:
     offsets = np.array([catch_up.next(step) for _ in range(100)])
     along = np.outer(offsets @ direction, direction) / (direction @ direction)
     np.testing.assert_allclose(offsets, along, atol=1e-12)
+
+
+class ForgetfulLink(LinkedRobot):
+    """A controller that falls silent once and is heard again, as one that a person has started anew."""
+
+    def __init__(self) -> None:
+        super().__init__(ROBOT, 0.1, 0.3)
+        self.cycles, self.handed = 0, list[Array]()
+
+    def connect(self, patience: float = 60.0) -> RobotState:
+        self._at_rest(ROBOT.home, ROBOT.home)
+        return RobotState(0.0, ROBOT.home, np.zeros(ROBOT.n))
+
+    def _handed_over(self, q_c: Array) -> None:
+        self.handed.append(q_c)
+
+    def _received(self) -> RobotState:
+        self.cycles += 1
+        if self.cycles == 3:
+            raise self.lost_link("no packet from the controller")
+        return RobotState(ROBOT.t_ipo * self.cycles, ROBOT.home, np.zeros(ROBOT.n))
+
+    def close(self) -> None:
+        return
+
+
+def test_a_link_that_was_lost_hands_over_nothing_until_it_is_connected_anew() -> None:
+    """A run that had lost its controller tried to lead the arm off the surface. The next session answered it, whose arm
+    stood elsewhere: 146 N on a surface of 20 N/mm."""
+    link = ForgetfulLink()
+    link.connect()
+    for _ in range(2):
+        link.cycle(ROBOT.home)
+    with pytest.raises(IdealRobotError):
+        link.cycle(ROBOT.home)
+    handed = len(link.handed)
+    for again in (link.receive, partial(link.send, ROBOT.home), partial(link.skip, ROBOT.home)):
+        with pytest.raises(IdealRobotError, match="no packet"):
+            again()
+    assert (len(link.handed), link.cycles) == (handed, 3)
+    link.connect()
+    link.cycle(ROBOT.home)
+    assert len(link.handed) == handed + 1
 
 
 # URDFs as makers publish them: the arm in them is found, and what they leave open is taken from its class and told.
