@@ -135,8 +135,14 @@ class ForceResult(ShownRun):
         return rows
 
 
-def _figures(scene: ForceScene, history: dict[str, Array], moving: list[float]) -> ForceFigures:
-    """How well the force was kept: ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms, and when the tip travelled."""
+def force_figures(scene: ForceScene, history: dict[str, Array], moving: list[float]) -> ForceFigures:
+    """How well the force was kept.
+
+    Args:
+        scene: how hard was to be pressed.
+        history: ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms.
+        moving: when the tip travelled [s].
+    """
     largest = float(history["normal"].max(initial=0.0))
     if len(moving) < 2:
         return ForceFigures(float("nan"), float("nan"), largest, float("nan"), float("nan"), 0.0)
@@ -235,7 +241,7 @@ def _result(cell: Cell, method: str, configured: Configured, glue: GlueWorld | N
         first, last = np.searchsorted(history["t"], moving[0]), np.searchsorted(history["t"], moving[-1], side="right")
         error = glue.control_error(log.first_used, history["t"][first:last], history["tip"][first:last])
     return ForceResult(
-        scene=scene, method=method, figures=_figures(scene, history, moving),
+        scene=scene, method=method, figures=force_figures(scene, history, moving),
         elasticity=(felt.follower.settings.elasticity, felt.elasticity.std, scene.tip.stiffness),
         tool={"mass": felt.tool.mass, "force_residual_N": float(felt.tool.residual[0])}, history=history, log=log,
         recording=recorded(arm, scene, method, log, True, _calibrated(felt)), urdf=cell.known.robot.urdf,

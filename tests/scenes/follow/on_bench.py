@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +15,10 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from planning.path.kinematics import InverseKinematics
-from scenes.force.cell import Cell, set_up, true_tip
+from scenes.force.cell import Cell, GlueWorld, set_up, true_tip
+from scenes.force.play import force_figures
 from scenes.methods import following_methods, method_of
+from scenes.metrics import ControlError
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.job import Job
 from scenes.online.journal import Journal
@@ -72,13 +75,14 @@ STAGES = ("turning", "search", "press", "approach", "settle", "travel")
 
 
 class BenchArm(WaitingArm):
-    """Counts how often its time begins."""
+    """Counts how often its time begins, and says when it last did by the simulated arm's time [s]."""
 
-    begun = 0
+    begun, begun_at = 0, 0.0
 
     def begin(self) -> None:
         super().begin()
         self.begun += 1
+        self.begun_at = self.link.arm.t  # type: ignore[attr-defined]
 
 
 class Bench(EyeBench):
@@ -159,7 +163,8 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
     the whole run without one) and at its end ``left``, how far the tip moved from then on ``moved`` [m], how long after
-    it the arm was stopped ``after`` [s], the ``job`` and the ``recording``.
+    it the arm was stopped ``after`` [s], the ``job`` and the ``recording``; of the travel the RMS error of the true
+    normal force ``rms`` [N], and where a camera looks for a line the tool's distance from it, ``beside``.
     """
     cell = set_up(scene)
     kinematics, q_start = InverseKinematics(cell.known.robot), cell.known.q_start()
@@ -189,5 +194,17 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         since = history["t"] >= begun
         length = np.linalg.norm(np.diff(history["tip"][since], axis=0), axis=1).sum()
         largest = float(history["normal"][since].max(initial=0.0))
+        moving = [live.begun_at + t for t in job.log.travel]
+        rms = force_figures(scene, history, moving).rms
+        beside = None if eye is None or failure is not None else _beside(cell, history, moving,
+                                                                        live.begun_at + job.log.first_used)
         return SimpleNamespace(failure=failure, force=largest, left=float(history["normal"][-1]), moved=float(length),
-                               after=arm.t - begun, job=job, recording=journal.recording(), bench=bench)
+                               after=arm.t - begun, job=job, recording=journal.recording(), bench=bench, rms=rms,
+                               beside=beside)
+
+
+def _beside(cell: Cell, history: dict[str, Array], moving: list[float], first_used: float) -> ControlError:
+    """Distance of the true tip from the drawn line during the travel, as a simulated run has it."""
+    travel = slice(*np.searchsorted(history["t"], [moving[0], moving[-1]]))
+    with closing(GlueWorld(cell)) as world:
+        return world.control_error(first_used, history["t"][travel], history["tip"][travel])
