@@ -52,7 +52,8 @@ GROUPS = {
         "limits": "limits", "device-faults": "faults", "sound-forces": "faults",
         "lockstep": "lockstep", "link-faults": "link_faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps", "check-suite": "sweeps",
-        "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
+        "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "wires": "loopback",
+        "follow-hour": "loopback",
     },
 }
 """Studies by group: name → module here, whose function of that name plays it."""

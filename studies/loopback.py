@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -128,13 +131,13 @@ def _calibrated(scene: str, folder: Path) -> Path:
 
 def _played(cell: Cell, scene: str, options: tuple[str, ...], session: int) -> dict[str, Any]:
     """One run: what really happened, by the simulated cell, and what the follower said of itself."""
-    follower = cell.follow(scene, *options)
+    follower, message = cell.follow(scene, *options), ""
     try:
         _, message = follower.communicate(timeout=400.0)
         truth = cell.truth(session, 30.0)
     except (subprocess.TimeoutExpired, TimeoutError) as error:
         follower.kill()
-        return {"code": -1, "failure": str(error)[-300:]}
+        return {"code": -1, "failure": (message or str(error))[-300:]}
     figures = cell.figures() if (cell.folder / "follow.json").exists() else {}
     link, timing = figures.get("devices", {}).get("arm", {}).get("link", {}), figures.get("timing", {})
     code = follower.returncode
@@ -179,6 +182,66 @@ def _cells(case: Case, runs: list[dict[str, Any]], own: float) -> list[str]:
             f"{max(all_of('share'), default=np.nan):.2f}", f"{1e2 * max(all_of('processor'), default=np.nan):.0f}",
             " + ".join("–" if np.isnan(megabytes) else f"{megabytes:.0f}" for megabytes in memory)
             + f" = {max(all_of('together'), default=np.nan):.0f}"]
+
+
+# Cells that nobody has seen, each followed once.
+
+def wires(scenes: str = "line", seeds: str = "1-10", offsets: str = "", stiffnesses: str = "",
+          lines: Path | None = None) -> None:
+    """Sound cells followed over wires in real time, over seeds: jobs done, largest force, errors, the machine's load.
+
+    Each play has processes of its own, and a camera calibrates itself by moving first. The surface of a force scene is
+    off by each of ``--offsets`` [mm, with commas] from where it is told, with a tip of each of ``--stiffnesses``
+    [N/mm]; empty: as the scene has it. Plays that the file of --lines holds are not repeated. Exit code 1 where one is
+    not done.
+    """
+    first, _, last = seeds.partition("-")
+    played = [] if lines is None or not lines.is_file() else [json.loads(line) for line in lines.open(encoding="utf-8")]
+    tips = list(product(offsets.split(","), stiffnesses.split(",")))
+    table = defaultdict(list)
+    for scene, seed in product(scenes.split(","), range(int(first), int(last or first) + 1)):
+        for offset, stiffness in tips:
+            of = [scene, offset, stiffness, seed]
+            run = next((run for run in played if run["of"] == of), None)
+            if run is None:
+                load = os.getloadavg()[0]
+                with tempfile.TemporaryDirectory(prefix="follow_wires_") as folder:
+                    run = {"of": of, "load": load, **_one(scene, seed, offset, stiffness, Path(folder))}
+                print(run, file=sys.stderr, flush=True)
+                if lines is not None:
+                    with lines.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(run) + "\n")
+            table[scene, offset, stiffness].append(run)
+    head("scene", "surface off by [mm]", "tip [N/mm]", "seeds", "done", "largest force [N]",
+         "error [mm or N]: median, worst", "late %, worst", "acceleration / allowed", "load")
+    for cell, runs in table.items():
+        done = [run for run in runs if run["code"] == 0]
+        errors = [run["error"] for run in done] or [np.nan]
+        late = [1e2 * run["late"] / max(run["cycles"], 1) for run in runs if "late" in run] or [np.nan]
+        force = [run["largest"] for run in runs if run.get("largest") is not None]
+        row(*cell, len(runs), len(done), f"{max(force):.1f}" if force else "",
+            f"{np.median(errors):.3f}, {max(errors):.3f}", f"{max(late):.2f}",
+            f"{max((run['share'] for run in runs if 'share' in run), default=np.nan):.2f}",
+            f"{max(run['load'] for run in runs):.1f}")
+    if any(run["code"] != 0 for runs in table.values() for run in runs):
+        sys.exit(1)
+
+
+def _one(scene: str, seed: int, offset: str, stiffness: str, folder: Path) -> dict[str, Any]:
+    """A cell served, and followed once; see ``wires``."""
+    file, text = folder / f"{scene}.toml", (library() / f"{scene}.toml").read_text(encoding="utf-8")
+    if offset:
+        text = re.sub(r"(?m)^offset_mm = .*$", f"offset_mm = {offset}", text)
+    if stiffness:
+        text += f"\n[tip]\nstiffness = {1e3 * float(stiffness)}\n"
+    file.write_text(text, encoding="utf-8")
+    camera = ("--calibration", str(folder / "camera.json")) if scene in SEEN else ()
+    with served(str(file), folder, "--seed", str(seed)) as cell:
+        # A calibration is a session of its own.
+        run = _played(cell, str(file), camera, 2 if camera else 1)
+    truth = folder / "truth.json"
+    force = json.loads(truth.read_text()).get("force_N", {}) if truth.exists() else {}
+    return {**run, "largest": force.get("largest")}
 
 
 # An hour in one go, with a camera that is switched off and on again.
