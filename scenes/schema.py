@@ -255,7 +255,14 @@ def _plain_type(text: str) -> str:
              "dict[text, Any]": "table", "pathlib.Path": "path"}
     for word, plain in words.items():
         text = re.sub(rf"\b{re.escape(word)}(?!\w)", plain, text)
-    return re.sub(r"tuple\[(.*?)\]", lambda match: f"list ({match[1]})", text).replace(" | ", " or ")
+    text = re.sub(r"tuple\[(.*?)\]", lambda match: _list_of(match[1].split(", ")), text)
+    return text.replace(" | nothing", "").replace(" | ", " or ")
+
+
+def _list_of(parts: list[str]) -> str:
+    """What a list holds: ``3 numbers``, or its entries one by one."""
+    alike = set(parts) in ({"number"}, {"positive number"})
+    return f"{len(parts)} {parts[0]}s" if alike else f"list ({', '.join(parts)})"
 
 
 def _toml(value: Any) -> str | None:
