@@ -182,16 +182,21 @@ def _tables_of(keys: tuple[Key, ...], told: dict[str, str], page: str) -> str:
 def _rows(keys: Iterable[Key]) -> Iterator[str]:
     """Rows of a table; keys that share default, limits and sentence share one, and a column of nothing is left out."""
     rows = []
-    for cells, group in itertools.groupby(keys, key=lambda key: (
-            "**required**" if key.required else f"`{key.default}`" if key.default is not None else "",
-            key.allowed, key.meaning)):
-        rows.append([", ".join(f"`{key.name}`" for key in group), *(cell.replace("|", "\\|") for cell in cells)])
-    titles = ["key", "default", "allowed", "meaning"]
+    for (value, meaning), group in itertools.groupby(keys, key=lambda key: (_value(key), key.meaning)):
+        cells = (", ".join(f"`{key.name}`" for key in group), value, meaning)
+        rows.append([cell.replace("|", "\\|") for cell in cells])
+    titles = ["key", "default: allowed", "meaning"]
     columns = [column for column in zip(titles, *rows, strict=True) if any(column[1:])]
     for i, row in enumerate(zip(*columns, strict=True)):
         yield f"| {' | '.join(row)} |"
         if i == 0:
             yield "| --- " * len(columns) + "|"
+
+
+def _value(key: Key) -> str:
+    """A key's default, and what is allowed."""
+    default = "**required**" if key.required else f"`{key.default}`" if key.default is not None else ""
+    return f"{default}: {key.allowed}" if default else key.allowed
 
 
 def _keys(model: type[pydantic.BaseModel], table: str, many: bool) -> Iterator[Key]:
