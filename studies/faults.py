@@ -24,7 +24,7 @@ from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.link_faults import FAULTS as LINKS
 from studies.link_faults import play_link
-from studies.report import head, row, scene_of, write_tables
+from studies.report import head, marked_page, row, scene_of, write_tables
 from tests.scenes.follow.eye_on_bench import black, frozen, held, mirrored, shaken, shifted
 from tests.scenes.follow.eye_on_bench import followed as followed_by_eye
 from tests.scenes.follow.on_bench import FAULTS, STAGES, followed
@@ -47,6 +47,8 @@ _NOTICED = {"sensor's gain is": "gain",
 """What a failure says → the sign by which it was noticed."""
 FROM = 70
 """Cycle of a controller in which its fault begins."""
+_MARK = "faults of {}"
+"""Of a table in the pages."""
 MOST = 1.5
 """Largest acceleration of ours that a fault may come to, as a share of the arm's; controllers trip at twice it."""
 
@@ -61,9 +63,10 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
     one that is believed as it was mounted: the largest distance of the tool from the line, time and way until it
     rests. Of an arm behind RSI, and of three makers' interfaces, see ``link_faults``.
 
-    Each play is kept as a line of --lines and not repeated; after so many --minutes no other is begun. --write puts the
-    tables into the page. Exit code 1 where a surface bore more than 1.5 times the wanted force and more than 40 N, or
-    an acceleration of ours is more than ``MOST`` of the arm's.
+    Each play is kept as a line of --lines and not repeated; after so many --minutes no other is begun. --write puts
+    each table between its marks in the pages; those of camera, arm and interfaces have none. Exit code 1 where a
+    surface bore more than 1.5 times the wanted force and more than 40 N, or an acceleration of ours is more than
+    ``MOST`` of the arm's.
 
     Args:
         tables: with commas between.
@@ -75,6 +78,9 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
     kept = {} if lines is None or not lines.is_file() else {
         tuple(cell["of"]): cell for cell in map(json.loads, lines.open(encoding="utf-8"))}
     begun = time.monotonic()
+    if write:
+        for name in tables.split(","):
+            marked_page(_MARK.format(name))
     for name in tables.split(","):
         for fault, column, play in _cells_of(name):
             if (name, fault, column) in kept or (columns and column not in columns.split(",")) or (
@@ -86,10 +92,10 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
             if lines is not None:
                 with lines.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(cell) + "\n")
-    text = "\n\n".join(_table(name, kept) for name in tables.split(","))
-    print(text)
-    if write:
-        write_tables("faults of devices", text)
+    for name in tables.split(","):
+        print(text := _table(name, kept), end="\n\n")
+        if write:
+            write_tables(_MARK.format(name), text)
     if any(cell["beyond"] for cell in kept.values()):
         sys.exit(1)
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ideal_robot.errors import IdealRobotError
+from ideal_robot.errors import IdealRobotError, InputError
 from scenes import load_scene
 from scenes.scene_files.scene import Scene
 
@@ -70,16 +70,25 @@ def kept(lines: Path, seeds: Sequence[int], play: Callable[[int], Any]) -> list[
     return [done[seed] for seed in seeds if seed in done]
 
 
+def marked_page(mark: str) -> Path:
+    """The page that has ``<!-- mark -->``.
+
+    Raises:
+        InputError: none has.
+    """
+    for page in sorted(DOCS.glob("*.md")):
+        if f"<!-- {mark} -->\n" in page.read_text(encoding="utf-8"):
+            return page
+    raise InputError(f"no page has <!-- {mark} -->", field="--write", value=mark)
+
+
 def write_tables(mark: str, text: str) -> None:
     """Puts text between ``<!-- mark -->`` and ``<!-- end of mark -->`` of the page that has them.
 
     Raises:
-        ValueError: no page has the mark.
+        InputError: no page has the mark.
     """
-    first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
-    for page in sorted(DOCS.glob("*.md")):
-        before, separator, rest = page.read_text(encoding="utf-8").partition(first)
-        if separator:
-            page.write_text(f"{before}{first}{text}\n{last}{rest.partition(last)[2]}", encoding="utf-8")
-            return
-    raise ValueError(f"no page has <!-- {mark} -->")
+    page = marked_page(mark)
+    before, first, rest = page.read_text(encoding="utf-8").partition(f"<!-- {mark} -->\n")
+    last = f"<!-- end of {mark} -->"
+    page.write_text(f"{before}{first}{text}\n{last}{rest.partition(last)[2]}", encoding="utf-8")
