@@ -34,6 +34,8 @@ SURELY = float(np.sqrt(chdtri(1, 2e-6)))
 """Standard deviations that noise alone exceeds once in 10⁶ times, upwards."""
 _SCATTERS = 20
 """Cycles from which it is told how the force scatters."""
+SETTLES, AIR = 0.4, 2.0
+"""Time in which friction turns round at least, and that in which the motors hear the air at most [s]."""
 BEHIND = 0.024
 """By how much the motors are behind the commands [s], from which velocity and acceleration are taken."""
 
@@ -47,6 +49,20 @@ _QUIET = 1e-3
 def presliding_distance(model: Model) -> Array:
     """Presliding distance of each joint ``(n,)`` [rad]; friction without presliding turns at once."""
     return np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in model.friction.laws])
+
+
+def settle_and_air(way: float, pace: float) -> tuple[float, float]:
+    """Time in which friction settles, and that in which the air is heard after it [s], on a way through air.
+
+    Friction comes to that of another speed over the presliding distance, not over a time: the air is heard at the end
+    of the way.
+
+    Args:
+        way: before there can be a touch [m].
+        pace: with which it is passed [m/s].
+    """
+    air = float(np.clip(way / pace - SETTLES, WINDOW, AIR))
+    return max(way / pace - air, SETTLES), air
 
 
 class FeltByMotors:
@@ -64,7 +80,7 @@ class FeltByMotors:
     """
 
     def __init__(self, model: Model, robot: Robot, kinematics: InverseKinematics, direction: Array,
-                 settle: float = 0.4, air: float = WINDOW) -> None:
+                 settle: float = SETTLES, air: float = WINDOW) -> None:
         self._model, self._kinematics, self._direction, self._T = model, kinematics, direction, robot.t_ipo
         self._weight = 1.0 / np.where(np.isfinite(robot.tau_max), robot.tau_max, 1.0) ** 2
         self._window, self._first = round(WINDOW / self._T), round(settle / self._T)

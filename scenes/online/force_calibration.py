@@ -19,7 +19,17 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.force.contact import LEAP, NOTICED, ContactSettings, most_force
-from planning.force.felt_by_motors import SURELY, WINDOW, Alert, FeltByMotors, Hearing, soonest
+from planning.force.felt_by_motors import (
+    AIR,
+    SETTLES,
+    SURELY,
+    WINDOW,
+    Alert,
+    FeltByMotors,
+    Hearing,
+    settle_and_air,
+    soonest,
+)
 from planning.force.sensor_gain import ALIKE, LOSSES, SensorGain, best_known, wrong_gain
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
@@ -62,8 +72,6 @@ _RECENT = 5
 """Readings whose mean is what is felt now."""
 _SLOWLY = 0.003
 """Way through air on which the motors are heard before there can be a touch [m], at least."""
-_SETTLES, _AIR = 0.4, 2.0
-"""Time in which friction turns round, and that in which the motors hear the air at most [s]."""
 _EVEN = 0.01
 """Share of the speed of pressing by which it may differ where it counts as even."""
 _STEADY = 0.1
@@ -287,7 +295,7 @@ class _Press(Pressed):
 
     gain: SensorGain | None
 
-    def _through_air(self, pace: float, settle: float = _SETTLES, air: float = WINDOW) -> None:
+    def _through_air(self, pace: float, settle: float = SETTLES, air: float = WINDOW) -> None:
         """Compares motors and sensor from now on, at ``pace`` [m/s]; friction turns round within ``settle`` [s]."""
         self._pace, self._paced_at, self._slower = pace, self.height, None
         self._motors = FeltByMotors(self._known.model, self._known.robot, self.kinematics, self.up, settle, air)
@@ -300,12 +308,12 @@ class _Press(Pressed):
         """
         stiffest, T = self._watch.stiffness, self._known.robot.t_ipo
         pace, scatter = self._pressing(stiffest), self._motors.scatter
-        air = float(np.clip(self._before_touch / pace - _SETTLES, WINDOW, _AIR))
         if scatter is not None:
+            _, air = settle_and_air(self._before_touch, pace)
             self._alert = soonest(scatter, self._unfelt, SAFE * self._most, T, air)
             if self._alert is not None:
                 pace = min(pace, self._alert.rate / stiffest)
-        self._through_air(pace, air=air)
+        self._through_air(pace, *settle_and_air(self._before_touch, pace))
 
     def _pressing(self, stiffness: float) -> float:
         """Speed at which a contact of a stiffness [N/m] is pressed on [m/s].
@@ -317,7 +325,7 @@ class _Press(Pressed):
     @property
     def _before_touch(self) -> float:
         """Way through air before there can be a touch [m]."""
-        return max(_SLOWLY, self._pressing(self._watch.stiffness) * (_SETTLES + WINDOW))
+        return max(_SLOWLY, self._pressing(self._watch.stiffness) * (SETTLES + WINDOW))
 
     @property
     def _unfelt(self) -> float:
@@ -349,11 +357,11 @@ class _Press(Pressed):
         self._go(lambda: -self._down(), lambda: self._hard() or self._too_quick(), heard=True)
         if (slower := self._slower) is not None and self._too_quick() and self._touched is not None:
             # There joints slide, and the motors have heard the air, before it touches.
-            top = self._touched + slower.way + slower.speed * (_AIR + _STEADY) + self._pace * NOTICED
+            top = self._touched + slower.way + slower.speed * (AIR + _STEADY) + self._pace * NOTICED
             self._go(lambda: _SLOW, lambda: self._high() or (
                 self.height >= top and float(self.recent() @ self.up) < _GONE))
             self._go(lambda: 0.0, lambda: self._speed == 0.0)
-            self._through_air(slower.speed, slower.way / slower.speed, _AIR)
+            self._through_air(slower.speed, slower.way / slower.speed, AIR)
             self._go(lambda: -slower.speed, self._hard, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
         self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
