@@ -188,7 +188,12 @@ def middle_of_view(camera: CameraModel) -> Array:
 
 def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
                          shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
-    """Joint angles of the poses that the arm reaches, each near the one before and on a way that touches nothing.
+    """Joint angles of the poses that the arm reaches as it follows the line, on a way that touches nothing.
+
+    An arm whose joints are not where its URDF has them carries the tool elsewhere than its angles say, and in each
+    arrangement of its joints elsewhere: what differs between the poses is found as an error of the camera. So each pose
+    is reached from the posture in which the line is followed, without another wrist, elbow or shoulder, and the last
+    joint turns the tool.
 
     Args:
         robot: the arm.
@@ -201,16 +206,18 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
 
     Raises:
         SceneError: fewer than half of the poses can be reached.
+        InputError: the reference cannot be followed.
     """
     frames, kinematics = reference.frames(np.array([at])), InverseKinematics(robot)
-    q, up = kinematics.search(reference.pose(at), robot.home), frames.up[0]
+    path = JointPath.of(robot, reference)
+    followed, up = path.q[np.argmin(np.abs(path.s - at))], frames.up[0]
     place, direction = ((frames.position[0], frames.tangent[0]) if line is None
                         else (line.points[0], line.tangents[0]))
     poses = calibration_poses(place + clear * up, direction, up, float(middle_of_view(camera)[0]))
-    postures: list[Array] = []
+    postures, q = list[Array](), followed
     for pose in poses:
         try:
-            posture = kinematics.search(pose, q)
+            posture = _carried(kinematics, followed, pose)
         except OutOfReachError:
             continue
         if shapes is None or shapes.touch_between(q, posture) is None:
@@ -220,3 +227,24 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
         raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(poses)} "
                          "poses; move the surface nearer, or set calibration.by_moving = false")
     return postures
+
+
+CARRIED = 0.1
+"""Between two poses on the way from one posture to another [rad, and as many metres]: Newton's method keeps to one
+arrangement of the joints there."""
+
+
+def _carried(kinematics: InverseKinematics, q: Array, pose: pin.SE3) -> Array:
+    """Joint angles ``(n,)`` [rad] of a pose in the arrangement of ``q (n,)`` [rad], the last joint turning the tool.
+
+    Raises ``OutOfReachError`` where the way there leaves the reach or the joint limits.
+    """
+    begin = kinematics.fk(q)
+    whole = pin.log6(begin.inverse() * pose)
+    wanted, robot = q.copy(), kinematics.robot
+    wanted[-1] = np.clip(q[-1] + kinematics.last_axis() @ whole.angular, robot.q_min[-1], robot.q_max[-1])
+    steps = max(int(np.ceil(np.linalg.norm(whole.vector) / CARRIED)), 1)
+    angles = q
+    for share in np.arange(1, steps + 1) / steps:
+        angles = kinematics.solve(begin * pin.exp6(share * whole), angles, wanted=q + share * (wanted - q))
+    return angles

@@ -32,6 +32,11 @@ class InverseKinematics:
         pin.framesForwardKinematics(self._model, self._data, q)
         return self._data.oMf[self._tool].copy()
 
+    def last_axis(self) -> Array:
+        """Direction of the last joint's axis in the tool frame ``(3,)``; nothing of one that slides."""
+        jacobian = pin.computeFrameJacobian(self._model, self._data, pin.neutral(self._model), self._tool, pin.LOCAL)
+        return np.array(jacobian[3:, -1])
+
     def elbow(self, q: Array) -> float:
         """How high the joint in the middle of the arm is above the base at ``q (n,)`` [m]."""
         pin.forwardKinematics(self._model, self._data, q)
