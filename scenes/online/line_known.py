@@ -269,14 +269,15 @@ class CalibrationView:
         detector: what finds its points.
         q: where the arm rests at first ``(n,)`` [rad].
         fusion: the map, see ``piece_map``.
+        followed: the posture in which the line is followed here ``(n,)`` [rad].
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
-                 detector: LineDetector, q: Array, fusion: DeviationFilter) -> None:
+                 detector: LineDetector, q: Array, fusion: DeviationFilter, followed: Array) -> None:
         self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
         self.history = PoseHistory(robot)
         self.history.add(0.0, q)
-        self.observations, self._map = list[Observation](), fusion
+        self.observations, self._map, self._followed = list[Observation](), fusion, followed
 
     def predicted(self, t: float) -> PredictedLine:
         """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""
@@ -304,7 +305,8 @@ class CalibrationView:
         self._map.update(Measurement(t, s, deviation, np.diag(detected.sigma[detected.used] ** 2) + BY_HAND**2))
         velocity, angular = self.history.velocity(t)
         sigma = np.hypot(detected.sigma[detected.used], PER_SPEED * np.linalg.norm(velocity))
-        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular))
+        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular,
+                                             self.history.carried(t, self._followed)))
 
     def piece(self, at: float, fields: int, remedy: str) -> tuple[Array, Array]:
         """Points of the reference about a place ``(N, 3)`` [m], and the surface's normal there ``(3,)``.

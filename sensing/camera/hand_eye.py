@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -56,6 +57,10 @@ BENT = PRIOR | {BEND: 0.5}
 4 mm over 0.1 m that is taken for even is found as distance, focal length and lens."""
 
 
+DRAWN = (3e-4, 5e-4)
+"""Standard deviations of the places of an arm's joints [m] and of their turns [rad], in each direction: together they
+put the tool of an arm as delivered a millimetre beside where its angles say."""
+
 _STILL, _NEAR = 1e-3, 3e-2
 """Steps that move no parameter by more than this share of its prior's standard deviation are the last; of a result, and
 of what only tells outliers."""
@@ -70,6 +75,9 @@ class Observation:
         pixels: detected points ``(m, 2)`` [px].
         sigma: their lateral standard deviations ``(m,)`` [m].
         velocity, angular_velocity: of the TCP in the base frame ``(3,)`` [m/s, rad/s]; zero at rest.
+        carried: how joints that are not as drawn move the pose otherwise than where the line is followed ``(6, 6 n)``:
+            the TCP and its turn in the base frame by each joint's place [m] and turn [rad] on the link before it;
+            without columns where that is not known.
     """
 
     pose: pin.SE3
@@ -77,6 +85,7 @@ class Observation:
     sigma: Array
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     angular_velocity: Array = field(default_factory=lambda: np.zeros(3))
+    carried: Array = field(default_factory=lambda: np.zeros((6, 0)))
 
 
 @dataclass(frozen=True)
@@ -157,15 +166,19 @@ def calibrate(
     names = [name for name in prior if name != RISE]
     rise = prior.get(RISE, 0.0)
     scale = np.array([np.hypot(prior[name], rise) if name == "height" else prior[name] for name in names])
+    drawn = observations[0].carried.shape[1] if observations else 0
+    scale = np.concatenate([scale, np.tile(np.repeat(DRAWN, 3), drawn // 6)])
     problem = _Problem(camera, observations, Polyline(reference), np.asarray(normal, dtype=float), names, knot)
     if len(observations) < 3 or problem.count < len(names) + 10:
         raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
-    before = problem.solve(np.zeros(len(names)), scale, steps=0)
+    before = problem.solve(np.zeros(len(scale)), scale, steps=0)
     # Twice: the second time without what contradicts the first result.
-    first = problem.solve(np.zeros(len(names)), scale, still=_NEAR)
+    first = problem.solve(np.zeros(len(scale)), scale, still=_NEAR)
     problem.drop_outliers(first.residual)
     fit = problem.solve(first.values, scale)
-    estimate, covariance = fit.values, fit.covariance
+    # What the arm's joints are beside their drawing is not looked for: it is averaged over.
+    count = len(names)
+    estimate, covariance = fit.values[:count], fit.covariance[:count, :count]
     if rise:
         estimate, covariance = _shared(estimate, covariance, names.index("height"), prior["height"] ** 2, rise**2)
         names.append(RISE)
@@ -202,8 +215,22 @@ class _Fit:
     rms: float
 
 
+class _Met(NamedTuple):
+    """Where rays meet the surface.
+
+    Attributes:
+        points: ``(M, 3)`` [m].
+        ray: along each, as long as rises by one along the surface's normal ``(M, 3)``.
+        normal: of the surface ``(3,)``.
+    """
+
+    points: Array
+    ray: Array
+    normal: Array
+
+
 class _Problem:
-    """Residuals of the points against one common curve, as a function of the camera's parameters."""
+    """Residuals of the points against one common curve, by the camera's parameters and the arm's joints' places."""
 
     def __init__(
         self, camera: CameraModel, observations: Sequence[Observation], reference: Polyline, normal: Array,
@@ -219,6 +246,7 @@ class _Problem:
         self.velocity = np.array([o.velocity for o in observations]).reshape(-1, 3)
         turning = np.array([pin.skew(o.angular_velocity) for o in observations]).reshape(-1, 3, 3)
         self.rotation_rate = turning @ self.rotation
+        self.carried = np.array([o.carried for o in observations]) if observations else np.zeros((0, 6, 0))
         self.owner = np.repeat(np.arange(len(usable)), [int(f.sum()) for f in usable])
         self._lens, self._rays = b"", np.empty((0, 3))
         self.centre = reference.points.mean(axis=0)
@@ -228,7 +256,7 @@ class _Problem:
         self.axis = np.cross(normal, self.along)
         self.good = np.ones(len(self.pixels), dtype=bool)
         if self.count:
-            s = self.reference.nearest(self._on_surface(np.zeros(len(names))), self.normal).s
+            s = self.reference.nearest(self._on_surface(np.zeros(len(names))).points, self.normal).s
             low, high = s.min() - 0.5 * knot, s.max() + 0.5 * knot
             inner = np.linspace(low, high, max(int((high - low) / knot), 2) + 1)
             self.knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
@@ -250,8 +278,8 @@ class _Problem:
             self._lens, self._rays = lens, camera.rays(self.pixels)
         return self._rays
 
-    def _on_surface(self, values: Array) -> Array:
-        """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
+    def _on_surface(self, values: Array) -> _Met:
+        """Where the rays of all points meet the surface, with the parameters' corrections."""
         corrections = dict(zip(self.names, values, strict=True))
         delay, bend = corrections.pop("time_offset", 0.0), corrections.pop(BEND, 0.0)
         moved = self.surface(corrections)
@@ -269,16 +297,24 @@ class _Problem:
         for _ in range(3 if bend else 0):
             distance = (origin + depth[:, None] * ray - centre) @ along
             depth = plane + 0.5 * bend * distance**2 / meets
-        return np.asarray(origin + depth[:, None] * ray)
+        return _Met(origin + depth[:, None] * ray, ray / meets[:, None], normal)
+
+    def _carried(self, met: _Met) -> Array:
+        """How joints that are not as drawn move the points on the surface ``(M, 3, k)`` [m], to first order."""
+        places, turns = self.carried[self.owner, :3], self.carried[self.owner, 3:]
+        moved = places + np.cross(turns, (met.points - self.position[self.owner])[:, :, None], axis=1)
+        return np.asarray(moved - met.ray[:, :, None] * np.einsum("j,ijk->ik", met.normal, moved)[:, None])
 
     def solve(self, values: Array, scale: Array, steps: int = 6, still: float = _STILL) -> _Fit:
         """Gauss-Newton steps from ``values (k,)`` until none moves a parameter by more than ``still`` of its ``scale``.
 
         With no steps only the common curve is fitted and nothing is said of the covariance.
         """
-        n, moves = len(values), np.inf
+        n, moves, named = len(values), np.inf, len(self.names)
         for step in range(steps + 1):
-            x = self._on_surface(values)
+            met = self._on_surface(values[:named])
+            carried = self._carried(met)
+            x = met.points + carried @ values[named:]
             nearest = self.reference.nearest(x, self.normal)
             tangent = self.reference.at(nearest.s)[1]
             left = np.cross(self.normal, tangent)
@@ -296,11 +332,12 @@ class _Problem:
             slope = BSpline(self.knots, c, 3)(inside, 1)
             J = np.empty((len(x), n + B.shape[1]))
             J[:, n:] = -B
-            for k in range(n):
-                moved = values.copy()
+            across = weight[:, None] * (left - slope[:, None] * tangent)
+            for k in range(named):
+                moved = values[:named].copy()
                 moved[k] += 1e-3 * scale[k]
-                dx = (self._on_surface(moved) - x) / 1e-3
-                J[:, k] = weight * (np.einsum("ij,ij->i", left, dx) - slope * np.einsum("ij,ij->i", tangent, dx))
+                J[:, k] = np.einsum("ij,ij->i", across, self._on_surface(moved).points - met.points) / 1e-3
+            J[:, named:n] = np.einsum("ij,ijk->ik", across, carried) * scale[named:]
             A = J.T @ J + np.diag(np.concatenate([np.ones(n), np.full(B.shape[1], 1.0 / 0.03**2)]))
             if step == steps or moves < still:
                 break
