@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -194,12 +194,12 @@ def followed_at(robot: Robot, reference: ReferencePath, at: float) -> Array:
 
 def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
                          shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
-    """Joint angles of the poses that the arm reaches as it follows the line, on a way that touches nothing.
+    """Joint angles of the poses that the arm reaches, on a way that touches nothing.
 
     An arm whose joints are not where its URDF has them carries the tool elsewhere than its angles say, and in each
     arrangement of its joints elsewhere: what differs between the poses is found as an error of the camera. So each pose
     is reached from the posture in which the line is followed, without another wrist, elbow or shoulder, and the last
-    joint turns the tool.
+    joint turns the tool; only an arm that reaches fewer than half of them so takes other arrangements.
 
     Args:
         robot: the arm.
@@ -219,24 +219,29 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
     place, direction = ((frames.position[0], frames.tangent[0]) if line is None
                         else (line.points[0], line.tangents[0]))
     poses = calibration_poses(place + clear * up, direction, up, float(middle_of_view(camera)[0]))
-    postures, q = list[Array](), followed
-    for pose in poses:
-        try:
-            posture = _carried(kinematics, followed, pose)
-        except OutOfReachError:
-            continue
-        if shapes is None or shapes.touch_between(q, posture) is None:
-            postures.append(posture)
-            q = posture
-    if len(postures) < len(poses) // 2:
-        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(poses)} "
-                         "poses; move the surface nearer, or set calibration.by_moving = false")
-    return postures
+    ways: tuple[Callable[[pin.SE3, Array], Array], ...] = (
+        lambda pose, _: _carried(kinematics, followed, pose), kinematics.search)
+    for way in ways:
+        postures, q = list[Array](), followed
+        for pose in poses:
+            try:
+                posture = way(pose, q)
+            except OutOfReachError:
+                continue
+            if shapes is None or shapes.touch_between(q, posture) is None:
+                postures.append(posture)
+                q = posture
+        if len(postures) >= len(poses) // 2:
+            return postures
+    raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(poses)} poses; "
+                     "move the surface nearer, or set calibration.by_moving = false")
 
 
 CARRIED = 0.1
 """Between two poses on the way from one posture to another [rad, and as many metres]: Newton's method keeps to one
 arrangement of the joints there."""
+DRAWN = 0.3
+"""Share of the way to the posture wanted that more than six joints are drawn with each of them."""
 
 
 def _carried(kinematics: InverseKinematics, q: Array, pose: pin.SE3) -> Array:
@@ -251,5 +256,7 @@ def _carried(kinematics: InverseKinematics, q: Array, pose: pin.SE3) -> Array:
     steps = max(int(np.ceil(np.linalg.norm(whole.vector) / CARRIED)), 1)
     angles = q
     for share in np.arange(1, steps + 1) / steps:
-        angles = kinematics.solve(begin * pin.exp6(share * whole), angles, wanted=q + share * (wanted - q))
+        # Drawn there step by step, as on a path: at once, Newton's method overshoots.
+        angles = kinematics.solve(begin * pin.exp6(share * whole), angles,
+                                  wanted=angles + DRAWN * (q + share * (wanted - q) - angles))
     return angles
