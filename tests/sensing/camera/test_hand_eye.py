@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from planning.path.pose_history import PoseHistory
 from sensing import SensingError
 from sensing.camera.camera_model import CalibrationError, CameraModel
 from sensing.camera.hand_eye import BEND, BENT, PRIOR, RISE, TILT, HandEye, Observation, calibrate, calibration_poses
+from sensing.camera.hand_eye import DRAWN as DRAWN_BESIDE
 from sensing.camera.line_polynomial import Polyline
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -105,6 +110,53 @@ def test_stated_uncertainty_is_honest() -> None:
         wrong[RISE] = rise
         scaled.append([(result.parameters[key] - wrong[key]) / result.sigma[key] for key in wrong])
     assert 0.6 < np.sqrt(np.mean(np.square(scaled))) < 1.5
+
+
+def seen_by_an_arm(true: CameraModel, rng: np.random.Generator, known: bool) -> list[Observation]:
+    """What a camera sees on an arm whose joints are not as drawn, half of the poses with its wrist turned over.
+
+    ``known``: whether it is told how such joints carry the tool.
+    """
+    robot, data = Robot.load("kr6"), Robot.load("kr6").pinocchio.createData()
+    arm, off = robot.pinocchio.copy(), rng.standard_normal((robot.n, 6)) * np.repeat(DRAWN_BESIDE, 3)
+    for joint, (place, turn) in enumerate(zip(off[:, :3], off[:, 3:], strict=True), start=1):
+        arm.jointPlacements[joint] = pin.SE3(pin.exp3(turn) @ arm.jointPlacements[joint].rotation,
+                                             arm.jointPlacements[joint].translation + place)
+    kinematics, history, views = InverseKinematics(robot), PoseHistory(robot), []
+    down = np.diag([1.0, -1.0, -1.0])
+    followed = kinematics.search(pin.SE3(down, ORIGIN), robot.home)
+    poses = calibration_poses(ORIGIN, np.array([1.0, 0.0, 0.0]), UP, 0.065)
+    for k, pose in enumerate(poses):
+        q = kinematics.search(pose, followed)
+        if k % 2:
+            half = np.copysign(np.pi, q)
+            q = kinematics.solve(pose, np.array([*q[:3], q[3] - half[3], -q[4], q[5] - half[5]]))
+        history.add(10.0 * k, q)
+        pin.framesForwardKinematics(arm, data, q)
+        stands = data.oMf[robot.tool_id]
+        middle = DRAWN.nearest(stands.act(np.array([0.065, 0.0, 0.0]))[None], UP).s
+        points = DRAWN.at(middle + np.linspace(-0.07, 0.07, 9))[0]
+        pixels = true.project_tool((points - stands.translation) @ stands.rotation)
+        pixels = pixels[np.all((pixels > 5) & (pixels < (true.width - 5, true.height - 5)), axis=1)]
+        views.append(Observation(robot.fk()(q), pixels + 0.02 * rng.standard_normal(pixels.shape),
+                                 np.full(len(pixels), 2e-5)))
+        if known:
+            views[-1] = replace(views[-1], carried=history.carried(10.0 * k, followed))
+    return views
+
+
+def test_joints_that_are_not_as_drawn_are_not_found_as_the_cameras_errors() -> None:
+    """Also where the wrist turns over between the poses, which carries the tool to another side."""
+    aside, scaled = {True: list[float](), False: list[float]()}, list[float]()
+    for seed in range(12):
+        for known in (False, True):
+            rng, believed, true = wrong(200 + seed)
+            result = calibrate(believed, seen_by_an_arm(true, rng, known), REFERENCE, UP)
+            aside[known].append(float(np.abs(measuring_error(true, result)).mean()))
+        lateral = (true.T_tool_camera.translation - believed.T_tool_camera.translation)[1]
+        scaled.append((result.parameters["lateral"] - lateral) / result.sigma["lateral"])
+    assert np.mean(aside[True]) < 0.5 * np.mean(aside[False])
+    assert 0.5 < np.sqrt(np.mean(np.square(scaled))) < 1.6
 
 
 def test_pose_errors_of_the_arm_cost_little_and_raise_the_residual() -> None:
