@@ -142,6 +142,7 @@ class LineResult(ShownRun):
             "path_error_mm": errors.json_mm() if errors is not None
             else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},
             "plan_error_mm": self.plan_error_mm,
+            "camera_sigma_mm": None if self.hand_eye is None else 1e3 * self.hand_eye.across(),
             "fields": {"seen": self.fields_seen, "used": self.fields_used, "left_out": self.left_out},
             "sensors": {name: {"values": values, "used": used} for name, (values, used) in self.sensors.items()},
             "recording": self.recording_path,
@@ -171,6 +172,8 @@ class LineResult(ShownRun):
         """The few figures a person wants first."""
         error = self.control_error
         warned = [("warning", self.warning)] if self.warning else []
+        camera = [] if self.hand_eye is None else [
+            ("camera across the travel, as calibrated (± σ)", f"{1e3 * self.hand_eye.across():.3f} mm")]
         return [
             *warned,
             ("speed", f"{self.scene.speed:g} m/s"),
@@ -178,6 +181,7 @@ class LineResult(ShownRun):
             ("mean distance from the line", f"{1e3 * error.mean:.3f} mm"),
             ("95 % below", f"{1e3 * error.p95:.3f} mm"),
             ("largest", f"{1e3 * error.max:.3f} mm"),
+            *camera,
             ("camera pictures that showed the line", f"{self.fields_used} of {self.fields_seen}"),
             ("speed of the simulation", f"{self.timing.real_time_factor:.1f} × real time"),
         ]

@@ -35,6 +35,8 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_polynomial import Polyline
 
 TILT, RISE, BEND = "surface_tilt", "surface_rise", "surface_bend"
+NO_CAMERA = ("time_offset", TILT, RISE, BEND)
+"""What is found beside the camera itself."""
 PRIOR = {
     "roll": 0.01,
     "pitch": 0.01,
@@ -61,6 +63,8 @@ DRAWN = (3e-4, 5e-4)
 """Standard deviations of the places of an arm's joints [m] and of their turns [rad], in each direction: together they
 put the tool of an arm as delivered a millimetre beside where its angles say."""
 
+_SMALL = 1e-5
+"""Correction by which a slope is measured [rad, m or none]: far below any that is found."""
 _STILL, _NEAR = 1e-3, 3e-2
 """Steps that move no parameter by more than this share of its prior's standard deviation are the last; of a result, and
 of what only tells outliers."""
@@ -111,6 +115,19 @@ class HandEye:
     residual_after: float
     used: int
     surface: pin.SE3 = field(default_factory=pin.SE3.Identity)
+
+    def across(self) -> float:
+        """Standard deviation of where the middle of the view lies across the travel, at the tool's tip [m]."""
+        names = list(self.parameters)
+        slope = [(_aside(self.camera.perturbed(**{name: _SMALL})) - _aside(self.camera)) / _SMALL
+                 if name not in NO_CAMERA else 0.0 for name in names]
+        return float(np.sqrt(np.array(slope) @ self.covariance @ slope))
+
+
+def _aside(camera: CameraModel) -> float:
+    """How far aside in the tool frame the optical axis meets the plane through the tip [m]."""
+    place, axis = camera.T_tool_camera.translation, camera.T_tool_camera.rotation[:, 2]
+    return float(place[1] - place[2] / axis[2] * axis[1])
 
 
 def calibration_poses(
@@ -185,7 +202,7 @@ def calibrate(
     sigma = np.sqrt(np.diag(covariance))
     values = dict(zip(names, (float(v) for v in estimate), strict=True))
     corrected = camera.perturbed(**{name: value for name, value in values.items()
-                                    if name not in ("time_offset", TILT, RISE, BEND)})
+                                    if name not in NO_CAMERA})
     return HandEye(
         corrected, values.get("time_offset", 0.0), values, dict(zip(names, (float(v) for v in sigma), strict=True)),
         covariance, before.rms, fit.rms, problem.count, problem.surface(values),
