@@ -15,7 +15,7 @@ from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
-from scenes.line_way import calibration_postures, followed_at, shapes_about
+from scenes.line_way import calibration_postures, shapes_about
 from scenes.online.known import Known
 from scenes.online.line_known import REST, CalibrationView, SeenBefore, piece_map, view_of
 from scenes.online.live_arm import moves
@@ -62,8 +62,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     commands = held(moves(robot, postures, REST), before=max(round(REST / T), 1) - 1)
     arm.reset(commands[0])
     camera.restart()
-    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion,
-                           followed_at(robot, reference, at))
+    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion, at)
     shape = ArmShape(robot) if camera.lamp is not None else None
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
     late, due, fields, moved = list[tuple[Field, PredictedLine]](), 0, 0, [] if moved is None else moved

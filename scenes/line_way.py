@@ -186,12 +186,6 @@ def middle_of_view(camera: CameraModel) -> Array:
     return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
 
 
-def followed_at(robot: Robot, reference: ReferencePath, at: float) -> Array:
-    """The joint angles ``(n,)`` [rad] in which a reference is followed at an arc length [m]."""
-    path = JointPath.of(robot, reference)
-    return np.asarray(path.q[np.argmin(np.abs(path.s - at))])
-
-
 def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
                          shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
     """Joint angles of the poses that the arm reaches, on a way that touches nothing.
@@ -215,7 +209,8 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
         InputError: the reference cannot be followed.
     """
     frames, kinematics = reference.frames(np.array([at])), InverseKinematics(robot)
-    followed, up = followed_at(robot, reference, at), frames.up[0]
+    path = JointPath.of(robot, reference)
+    followed, up = path.q[np.argmin(np.abs(path.s - at))], frames.up[0]
     place, direction = ((frames.position[0], frames.tangent[0]) if line is None
                         else (line.points[0], line.tangents[0]))
     poses = calibration_poses(place + clear * up, direction, up, float(middle_of_view(camera)[0]))

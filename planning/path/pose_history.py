@@ -96,29 +96,14 @@ class PoseHistory:
 
     def row_pose(self, t: float) -> pin.SE3:
         """``pose`` for a picture or its row; the first may be stamped before the first sample, when the arm rested."""
-        return self.pose(max(t, self._t[0]) if self._t and t > self._t[0] - _ROWS else t)
+        return self.pose(self._row(t))
 
-    def carried(self, t: float, followed: Array) -> Array:
-        """How joints that are not as drawn move the TCP at ``t`` [s] otherwise than in a posture ``(6, 6 n)``.
+    def row_q(self, t: float) -> Array:
+        """``q`` for a picture or its row, as ``row_pose``."""
+        return self.q(self._row(t))
 
-        Rows are the TCP's place [m] and turn [rad] in the base frame, columns the place [m] and turn [rad] of each
-        joint on the link before it.
-
-        Args:
-            t: as for ``q``.
-            followed: the posture ``(n,)`` [rad]; what moves the tool there moves it here alike.
-        """
-        twists = self._drawn(self.q(t)) - self._drawn(followed)
-        # From a twist about the base's origin to what it does at the TCP.
-        twists[:3] -= pin.skew(self.pose(t).translation) @ twists[3:]
-        return twists
-
-    def _drawn(self, q: Array) -> Array:
-        """Twists of the base frame by the places and turns of the joints on the links before them ``(6, 6 n)``."""
-        model, data = self._robot.pinocchio, self._data
-        pin.forwardKinematics(model, data, q)
-        return np.hstack([(data.oMi[parent] * place).toActionMatrix() for parent, place in
-                          zip(list(model.parents)[1:], list(model.jointPlacements)[1:], strict=True)])
+    def _row(self, t: float) -> float:
+        return max(t, self._t[0]) if self._t and t > self._t[0] - _ROWS else t
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``.

@@ -23,7 +23,7 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.line_way import calibration_postures, followed_at
+from scenes.line_way import calibration_postures
 from scenes.online.line_known import FINE, REST, CalibrationView, piece_map
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera
@@ -99,8 +99,7 @@ class CalibrationMotion:
                                  "poses; set calibration.by_moving = false")
         out, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
         imagined, view = (CalibrationView(robot, reference, by_hand, detection, FoundBefore(), start,
-                                          piece_map(reference, at), followed_at(robot, reference, at))
-                           for _ in range(2))
+                                          piece_map(reference, at), at) for _ in range(2))
         imagined.history.add(robot.t_ipo, start)
         camera, t = ImaginedCamera(), 0.5 * robot.t_ipo
         camera.predict = imagined.predicted
@@ -266,7 +265,7 @@ def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> Seen:
     robot = arm.robot
     (postures, shown, turned), view = arm.meanwhile(lambda: (_postures(look, robot), CalibrationView(
         robot, look.reference, look.camera, camera.detection, FoundBefore(), look.start,
-        piece_map(look.reference, look.begin + AHEAD), look.start)))
+        piece_map(look.reference, look.begin + AHEAD))))
     arm.begin()
     camera.predict = view.predicted
     places, last = [], look.start

@@ -17,6 +17,8 @@ from planning.line.deviation_model import COPIED, SHAPES, Expected, PathDeviatio
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower, line_ahead
 from planning.line.measurement import Measurement
+from planning.path.joint_path import JointPath
+from planning.path.joints_beside import JointsBeside
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from scenes.line_way import FOUND, line_way, middle_of_view
@@ -269,15 +271,17 @@ class CalibrationView:
         detector: what finds its points.
         q: where the arm rests at first ``(n,)`` [rad].
         fusion: the map, see ``piece_map``.
-        followed: the posture in which the line is followed here ``(n,)`` [rad].
+        at: arc length about which the camera is calibrated [m]; None where it is only looked through.
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
-                 detector: LineDetector, q: Array, fusion: DeviationFilter, followed: Array) -> None:
+                 detector: LineDetector, q: Array, fusion: DeviationFilter, at: float | None = None) -> None:
         self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
         self.history = PoseHistory(robot)
         self.history.add(0.0, q)
-        self.observations, self._map, self._followed = list[Observation](), fusion, followed
+        self.observations, self._map = list[Observation](), fusion
+        self._beside = None if at is None else JointsBeside(robot, JointPath.of(robot, reference), at,
+                                                            float(middle_of_view(believed)[0]))
 
     def predicted(self, t: float) -> PredictedLine:
         """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""
@@ -305,8 +309,10 @@ class CalibrationView:
         self._map.update(Measurement(t, s, deviation, np.diag(detected.sigma[detected.used] ** 2) + BY_HAND**2))
         velocity, angular = self.history.velocity(t)
         sigma = np.hypot(detected.sigma[detected.used], PER_SPEED * np.linalg.norm(velocity))
-        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular,
-                                             self.history.carried(t, self._followed)))
+        carried = np.zeros((6, 0))
+        if self._beside is not None:
+            carried = self._beside.carried(self.history.row_q(t), float(np.mean(s)))
+        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular, carried))
 
     def piece(self, at: float, fields: int, remedy: str) -> tuple[Array, Array]:
         """Points of the reference about a place ``(N, 3)`` [m], and the surface's normal there ``(3,)``.

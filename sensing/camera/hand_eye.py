@@ -79,9 +79,9 @@ class Observation:
         pixels: detected points ``(m, 2)`` [px].
         sigma: their lateral standard deviations ``(m,)`` [m].
         velocity, angular_velocity: of the TCP in the base frame ``(3,)`` [m/s, rad/s]; zero at rest.
-        carried: how joints that are not as drawn move the pose otherwise than where the line is followed ``(6, 6 n)``:
-            the TCP and its turn in the base frame by each joint's place [m] and turn [rad] on the link before it;
-            without columns where that is not known.
+        carried: how joints that are not as drawn shift what is seen against where the tool will come ``(6, 6 n)``: the
+            TCP and its turn in the base frame by each joint's place [m] and turn [rad] on the link before it; without
+            columns where that is not known.
     """
 
     pose: pin.SE3
@@ -118,16 +118,16 @@ class HandEye:
 
     def across(self) -> float:
         """Standard deviation of where the middle of the view lies across the travel, at the tool's tip [m]."""
-        names = list(self.parameters)
-        slope = [(_aside(self.camera.perturbed(**{name: _SMALL})) - _aside(self.camera)) / _SMALL
+        pixel, names = self.camera.K[:2, 2], list(self.parameters)
+        slope = [(_aside(self.camera.perturbed(**{name: _SMALL}), pixel) - _aside(self.camera, pixel)) / _SMALL
                  if name not in NO_CAMERA else 0.0 for name in names]
         return float(np.sqrt(np.array(slope) @ self.covariance @ slope))
 
 
-def _aside(camera: CameraModel) -> float:
-    """How far aside in the tool frame the optical axis meets the plane through the tip [m]."""
-    place, axis = camera.T_tool_camera.translation, camera.T_tool_camera.rotation[:, 2]
-    return float(place[1] - place[2] / axis[2] * axis[1])
+def _aside(camera: CameraModel, pixel: Array) -> float:
+    """How far aside in the tool frame the ray of a pixel ``(2,)`` meets the plane through the tip [m]."""
+    place, ray = camera.T_tool_camera.translation, camera.T_tool_camera.rotation @ camera.rays(pixel[None])[0]
+    return float(place[1] - place[2] / ray[2] * ray[1])
 
 
 def calibration_poses(

@@ -11,8 +11,9 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
+from planning.path.joint_path import JointPath
+from planning.path.joints_beside import JointsBeside
 from planning.path.kinematics import InverseKinematics
-from planning.path.pose_history import PoseHistory
 from sensing import SensingError
 from sensing.camera.camera_model import CalibrationError, CameraModel
 from sensing.camera.hand_eye import BEND, BENT, PRIOR, RISE, TILT, HandEye, Observation, calibrate, calibration_poses
@@ -122,16 +123,16 @@ def seen_by_an_arm(true: CameraModel, rng: np.random.Generator, known: bool) -> 
     for joint, (place, turn) in enumerate(zip(off[:, :3], off[:, 3:], strict=True), start=1):
         arm.jointPlacements[joint] = pin.SE3(pin.exp3(turn) @ arm.jointPlacements[joint].rotation,
                                              arm.jointPlacements[joint].translation + place)
-    kinematics, history, views = InverseKinematics(robot), PoseHistory(robot), []
+    kinematics, views = InverseKinematics(robot), list[Observation]()
     down = np.diag([1.0, -1.0, -1.0])
     followed = kinematics.search(pin.SE3(down, ORIGIN), robot.home)
+    beside = JointsBeside(robot, JointPath.through(np.arange(2.0), np.tile(followed, (2, 1))), 0.0)
     poses = calibration_poses(ORIGIN, np.array([1.0, 0.0, 0.0]), UP, 0.065)
     for k, pose in enumerate(poses):
         q = kinematics.search(pose, followed)
         if k % 2:
             half = np.copysign(np.pi, q)
             q = kinematics.solve(pose, np.array([*q[:3], q[3] - half[3], -q[4], q[5] - half[5]]))
-        history.add(10.0 * k, q)
         pin.framesForwardKinematics(arm, data, q)
         stands = data.oMf[robot.tool_id]
         middle = DRAWN.nearest(stands.act(np.array([0.065, 0.0, 0.0]))[None], UP).s
@@ -141,7 +142,7 @@ def seen_by_an_arm(true: CameraModel, rng: np.random.Generator, known: bool) -> 
         views.append(Observation(robot.fk()(q), pixels + 0.02 * rng.standard_normal(pixels.shape),
                                  np.full(len(pixels), 2e-5)))
         if known:
-            views[-1] = replace(views[-1], carried=history.carried(10.0 * k, followed))
+            views[-1] = replace(views[-1], carried=beside.carried(q, 0.0))
     return views
 
 
