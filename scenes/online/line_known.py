@@ -120,8 +120,6 @@ FOLLOWED, STEEP = 0.05, float(np.tan(np.radians(30.0)))
 """How far beside its reference and how steep against it a line is followed [m] (``python -m studies line-shapes``)."""
 REACH = 0.2
 """How far from the middle of the piece the line's deviation from its reference is kept [m]."""
-PER_SPEED = 1e-3
-"""Uncertainty of a moving tool's place: a millisecond's way, standard deviation [m per m/s]."""
 REST = 0.16
 """Rest at each pose of the calibration, in which vibrations die out [s]."""
 
@@ -308,11 +306,11 @@ class CalibrationView:
         s, deviation, _ = self.reference.project(points, self._at(pose))
         self._map.update(Measurement(t, s, deviation, np.diag(detected.sigma[detected.used] ** 2) + BY_HAND**2))
         velocity, angular = self.history.velocity(t)
-        sigma = np.hypot(detected.sigma[detected.used], PER_SPEED * np.linalg.norm(velocity))
         carried = np.zeros((6, 0))
         if self._beside is not None:
             carried = self._beside.carried(self.history.row_q(t), float(np.mean(s)))
-        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular, carried))
+        self.observations.append(Observation(pose, detected.pixels[detected.used], detected.sigma[detected.used],
+                                             velocity, angular, carried))
 
     def piece(self, at: float, fields: int, remedy: str) -> tuple[Array, Array]:
         """Points of the reference about a place ``(N, 3)`` [m], and the surface's normal there ``(3,)``.
