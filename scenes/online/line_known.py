@@ -120,6 +120,8 @@ FOLLOWED, STEEP = 0.05, float(np.tan(np.radians(30.0)))
 """How far beside its reference and how steep against it a line is followed [m] (``python -m studies line-shapes``)."""
 REACH = 0.2
 """How far from the middle of the piece the line's deviation from its reference is kept [m]."""
+PER_SPEED = 1e-3
+"""Uncertainty of a moving tool's place: a millisecond's way, standard deviation [m per m/s]."""
 REST = 0.16
 """Rest at each pose of the calibration, in which vibrations die out [s]."""
 
@@ -309,8 +311,8 @@ class CalibrationView:
         carried = np.zeros((6, 0))
         if self._beside is not None:
             carried = self._beside.carried(self.history.row_q(t), float(np.mean(s)))
-        self.observations.append(Observation(pose, detected.pixels[detected.used], detected.sigma[detected.used],
-                                             velocity, angular, carried))
+        sigma = np.hypot(detected.sigma[detected.used], PER_SPEED * np.linalg.norm(velocity))
+        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular, carried))
 
     def piece(self, at: float, fields: int, remedy: str) -> tuple[Array, Array]:
         """Points of the reference about a place ``(N, 3)`` [m], and the surface's normal there ``(3,)``.

@@ -9,9 +9,7 @@ With pixels u_ij of pose i, camera parameters θ and the intersection x_ij(θ) o
 
     min over θ, c of  Σ ((d(x_ij(θ)) - B(s(x_ij(θ))) c) / σ_ij)² + Σ (θ_k / σ_k)²
 
-d and s being lateral distance from and arc length on the reference path. The points of a field also err together, as
-the pose does from which they are believed to be seen, by κ² + τ² v² at speed v, both found with the rest; among the θ
-are the places of the arm's joints, where it is known how they carry the tool. Gauss-Newton over θ and c together, with
+d and s being lateral distance from and arc length on the reference path: Gauss-Newton over θ and c together, with
 
     ∂d/∂θ = n · ∂x/∂θ,   ∂s/∂θ = t · ∂x/∂θ
 
@@ -19,6 +17,11 @@ n, t the reference's normal and tangent at the foot of x. The surface's slope is
 the line where its shape is unknown: they are the same in the base frame at all poses, the camera's errors are the same
 in the tool frame. Of a height only the sum is seen, h = h_camera - h_surface: by what was known before, the surface has
 the share σ_s² / (σ_s² + σ_c²) of it.
+
+Joints that are not where the arm's description has them are no parameters: gears that give way and rub move the tool by
+as much in other patterns, and would be found as joints. They are *considered*: with columns C of what they do to the
+residuals and their prior covariance P, the covariance of the estimate A⁻¹ Jᵀ r is that of the noise and
+A⁻¹ Jᵀ C P Cᵀ J A⁻¹ (S. F. Schmidt, Application of State-Space Methods to Navigation Problems, 1966).
 """
 
 from __future__ import annotations
@@ -30,8 +33,6 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BSpline
-from scipy.optimize import nnls
-from scipy.sparse import coo_array
 
 from ideal_robot.arrays import Array
 from sensing import SensingError
@@ -67,8 +68,6 @@ DRAWN = (3e-4, 5e-4)
 """Standard deviations of the places of an arm's joints [m] and of their turns [rad], in each direction: together they
 put the tool of an arm as delivered a millimetre beside where its angles say."""
 
-PER_SPEED = 1e-3
-"""By how much a moving tool's place is unknown before anything is seen: a millisecond's way [m per m/s]."""
 _SMALL = 1e-5
 """Correction by which a slope is measured [rad, m or none]: far below any that is found."""
 _STILL, _NEAR = 1e-3, 3e-2
@@ -189,19 +188,15 @@ def calibrate(
     names = [name for name in prior if name != RISE]
     rise = prior.get(RISE, 0.0)
     scale = np.array([np.hypot(prior[name], rise) if name == "height" else prior[name] for name in names])
-    drawn = observations[0].carried.shape[1] if observations else 0
-    scale = np.concatenate([scale, np.tile(np.repeat(DRAWN, 3), drawn // 6)])
     problem = _Problem(camera, observations, Polyline(reference), np.asarray(normal, dtype=float), names, knot)
     if len(observations) < 3 or problem.count < len(names) + 10:
         raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
-    before = problem.solve(np.zeros(len(scale)), scale, steps=0)
-    # Twice: the second time without what contradicts the first result, and with the noise that it leaves.
-    first = problem.solve(np.zeros(len(scale)), scale, still=_NEAR)
-    problem.drop_outliers(first)
+    before = problem.solve(np.zeros(len(names)), scale, steps=0)
+    # Twice: the second time without what contradicts the first result.
+    first = problem.solve(np.zeros(len(names)), scale, still=_NEAR)
+    problem.drop_outliers(first.residual)
     fit = problem.solve(first.values, scale)
-    # What the arm's joints are beside their drawing is not looked for: it is averaged over.
-    count = len(names)
-    estimate, covariance = fit.values[:count], fit.covariance[:count, :count]
+    estimate, covariance = fit.values, fit.covariance
     if rise:
         estimate, covariance = _shared(estimate, covariance, names.index("height"), prior["height"] ** 2, rise**2)
         names.append(RISE)
@@ -230,16 +225,12 @@ def _shared(values: Array, covariance: Array, height: int, of_camera: float, of_
 
 @dataclass(frozen=True)
 class _Fit:
-    """Parameters, their covariance, residuals in units of sigma ``(count,)``, and how far aside the points lie [m]."""
+    """Parameters, their covariance, residuals in units of sigma ``(count,)`` and their root mean square [m]."""
 
     values: Array
     covariance: Array
     residual: Array
-    aside: Array
-
-    @property
-    def rms(self) -> float:
-        return float(np.sqrt(np.mean(self.aside**2)))
+    rms: float
 
 
 class _Met(NamedTuple):
@@ -257,7 +248,7 @@ class _Met(NamedTuple):
 
 
 class _Problem:
-    """Residuals of the points against one common curve, by the camera's parameters and the arm's joints' places."""
+    """Residuals of the points against one common curve, as a function of the camera's parameters."""
 
     def __init__(
         self, camera: CameraModel, observations: Sequence[Observation], reference: Polyline, normal: Array,
@@ -275,8 +266,6 @@ class _Problem:
         self.rotation_rate = turning @ self.rotation
         self.carried = np.array([o.carried for o in observations]) if observations else np.zeros((0, 6, 0))
         self.owner = np.repeat(np.arange(len(usable)), [int(f.sum()) for f in usable])
-        self.speed = np.linalg.norm(self.velocity, axis=1)
-        self.together = PER_SPEED * self.speed
         self._lens, self._rays = b"", np.empty((0, 3))
         self.centre = reference.points.mean(axis=0)
         along = reference.points[-1] - reference.points[0]
@@ -334,52 +323,37 @@ class _Problem:
         moved = places + np.cross(turns, (met.points - self.position[self.owner])[:, :, None], axis=1)
         return np.asarray(moved - met.ray[:, :, None] * np.einsum("j,ijk->ik", met.normal, moved)[:, None])
 
-    def _whitened(self, columns: Array) -> Array:
-        """Columns ``(M, k)`` by the inverse root of the points' covariance: those of a field err together as well.
-
-        Of diag(σ²) + c² 1 1ᵀ it is diag(1/σ) but for the direction u = (1/σ) / |1/σ|, which shrinks by the root of
-        1 + c² |1/σ|²; points that were dropped weigh nothing.
-        """
-        weight = self.good / self.sigma
-        fields = coo_array((weight, (self.owner, np.arange(len(weight)))), (len(self.together), len(weight))).tocsr()
-        square = np.maximum(fields @ weight, np.finfo(float).tiny)
-        shrunk = (1.0 - 1.0 / np.sqrt(1.0 + self.together**2 * square)) / square
-        scaled = weight[:, None] * columns
-        return np.asarray(scaled - weight[:, None] * (shrunk[:, None] * (fields @ scaled))[self.owner])
-
     def solve(self, values: Array, scale: Array, steps: int = 6, still: float = _STILL) -> _Fit:
         """Gauss-Newton steps from ``values (k,)`` until none moves a parameter by more than ``still`` of its ``scale``.
 
         With no steps only the common curve is fitted and nothing is said of the covariance.
         """
-        n, moves, named = len(values), np.inf, len(self.names)
+        n, moves = len(values), np.inf
         for step in range(steps + 1):
-            met = self._on_surface(values[:named])
-            carried = self._carried(met)
-            x = met.points + carried @ values[named:]
+            met = self._on_surface(values)
+            x = met.points
             nearest = self.reference.nearest(x, self.normal)
             tangent = self.reference.at(nearest.s)[1]
             left = np.cross(self.normal, tangent)
+            weight = self.good / self.sigma
             inside = np.clip(nearest.s, self.knots[0] + 1e-9, self.knots[-1] - 1e-9)
-            shape = BSpline.design_matrix(inside, self.knots, 3).toarray()
-            B, d = self._whitened(shape), self._whitened(nearest.lateral[:, None])[:, 0]
+            B = weight[:, None] * BSpline.design_matrix(inside, self.knots, 3).toarray()
+            d = nearest.lateral * weight
             # A weak prior of 30 mm keeps spline pieces that no point touches harmless.
             c = np.linalg.solve(B.T @ B + np.eye(B.shape[1]) / 0.03**2, B.T @ d)
             residual = d - B @ c
             used = residual[self.good]
-            aside = (nearest.lateral - shape @ c)[self.good]
+            rms = float(np.sqrt(np.mean((used * self.sigma[self.good]) ** 2)))
             if not steps:
-                return _Fit(values, np.full((n, n), np.inf), used, aside)
+                return _Fit(values, np.full((n, n), np.inf), used, rms)
             slope = BSpline(self.knots, c, 3)(inside, 1)
             J = np.empty((len(x), n + B.shape[1]))
-            across = left - slope[:, None] * tangent
-            for k in range(named):
-                moved = values[:named].copy()
-                moved[k] += 1e-3 * scale[k]
-                J[:, k] = np.einsum("ij,ij->i", across, self._on_surface(moved).points - met.points) / 1e-3
-            J[:, named:n] = np.einsum("ij,ijk->ik", across, carried) * scale[named:]
-            J[:, :n] = self._whitened(J[:, :n])
             J[:, n:] = -B
+            across = weight[:, None] * (left - slope[:, None] * tangent)
+            for k in range(n):
+                moved = values.copy()
+                moved[k] += 1e-3 * scale[k]
+                J[:, k] = np.einsum("ij,ij->i", across, self._on_surface(moved).points - x) / 1e-3
             A = J.T @ J + np.diag(np.concatenate([np.ones(n), np.full(B.shape[1], 1.0 / 0.03**2)]))
             if step == steps or moves < still:
                 break
@@ -389,20 +363,13 @@ class _Problem:
             change = np.linalg.solve(A, gradient)[:n]
             values, moves = values - scale * change, float(np.max(np.abs(change)))
         spread = max(1.0, float(np.sqrt(np.mean(used**2))))
-        covariance = np.linalg.inv(A)[:n, :n] * np.outer(scale, scale) * spread**2
-        return _Fit(values, covariance, used, aside)
+        drawn = np.tile(np.repeat(DRAWN, 3), self.carried.shape[2] // 6)
+        considered = np.linalg.solve(A, J.T @ (np.einsum("ij,ijk->ik", across, self._carried(met)) * drawn))[:n]
+        covariance = np.linalg.inv(A)[:n, :n] * spread**2 + considered @ considered.T
+        covariance *= np.outer(scale, scale)
+        return _Fit(values, covariance, used, rms)
 
-    def drop_outliers(self, fit: _Fit) -> None:
-        """Leaves out what contradicts a fit, and takes from the rest by how much the points of a field err together."""
-        r = np.abs(fit.residual)
-        far = r > 5.0 * max(1.0, 1.4826 * float(np.median(r)))
-        own, aside = self.owner[self.good][~far], fit.aside[~far]
-        self.good[np.flatnonzero(self.good)[far]] = False
-        weight, count = 1.0 / self.sigma[self.good] ** 2, len(self.speed)
-        total = np.bincount(own, weight, count)
-        seen = total > 0.0
-        variance, square = 1.0 / total[seen], self.speed[seen] ** 2
-        excess = (np.bincount(own, weight * aside, count)[seen] * variance) ** 2 - variance
-        known = 1.0 / (variance + self.together[seen] ** 2)
-        (rest, moving), _ = nnls(known[:, None] * np.column_stack([np.ones(len(square)), square]), known * excess)
-        self.together = np.sqrt(rest + moving * self.speed**2)
+    def drop_outliers(self, residual: Array) -> None:
+        r = np.abs(residual)
+        limit = 5.0 * max(1.0, 1.4826 * float(np.median(r)))
+        self.good[np.flatnonzero(self.good)[r > limit]] = False
