@@ -311,11 +311,14 @@ class _Franka:
 
     Args:
         server: of ``franky-sim``, with one robot.
+
+    Attributes:
+        heard: whether the last state was not lost.
     """
 
     def __init__(self, server: Any) -> None:
         (self._robot,) = server.robot_servers
-        self._lost, self._send = 0, self._robot.send_state
+        self.heard, self._lost, self._send = True, 0, self._robot.send_state
         self._robot.send_state = self._send_state
 
     def lose(self, states: int) -> None:
@@ -323,10 +326,13 @@ class _Franka:
         self._lost = states
 
     def _send_state(self) -> None:
-        if self._lost:
-            self._lost -= 1
-        else:
+        self.heard = not self._lost
+        if self.heard:
             self._send()
+            return
+        self._lost -= 1
+        # The number of a state is its millisecond, whether it arrives or not.
+        self._robot._FrankaServer__message_id += 1
 
     def stop(self, why: str) -> None:
         """The motion is aborted as libfranka's protocol says it: the mode, the errors, a response to the Move command.
@@ -368,7 +374,7 @@ def _serve_franka(pipe: Connection) -> None:
                 return False
 
             pipe.send("ready")
-            answered_milliseconds(server, ended=told)
+            answered_milliseconds(server, ended=told, heard=lambda: controller.heard)
 
 
 class _Remote:
@@ -417,6 +423,8 @@ def _aborted(why: str) -> Callable[[Any], None]:
 FAULTS: dict[str, tuple[Callable[..., Any], Where, dict[str, Fault]]] = {
     "fci": (_fci, lambda c: np.array(c.asked("q")), {
         "nothing": _once(lambda c: None),
+        "2 % of the states lost": _often(lambda c: c.asked("lose", 1)),
+        "10 states lost in a row": _once(lambda c: c.asked("lose", 10)),
         "reflex: collision": _once(_aborted("kReflexAborted")),
         "user stop": _once(_aborted("kEmergencyAborted")),
         "silence": _once(lambda c: c.asked("lose", 10**9)),

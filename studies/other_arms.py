@@ -238,27 +238,30 @@ def _timed_milliseconds(server: Any, slowed: float, tell: Tell) -> None:
 
 
 def answered_milliseconds(server: Any, tell: Tell = lambda k, robot: None,
-                          ended: Callable[[], bool] = lambda: False) -> None:
+                          ended: Callable[[], bool] = lambda: False,
+                          heard: Callable[[], bool] = lambda: True) -> None:
     """Milliseconds of ``franky-sim``, each of which begins when the one before was answered.
 
     Args:
         server: its ``SimulationServer`` with one robot.
         tell: see ``Tell``.
         ended: whether that was the last one.
+        heard: whether the last state can be answered, because it was not lost.
     """
     (robot,) = server.robot_servers
     handled, answers = robot._handle_udp_command, []
 
-    def heard(data: bytes) -> None:
+    def handle(data: bytes) -> None:
         answers.append(data)
         handled(data)
 
-    robot._handle_udp_command = heard
+    robot._handle_udp_command = handle
     for k in count(1):
         answers.clear()
         begun = time.perf_counter()
         # Without a motion nobody answers, and states go out as by the clock.
-        while not answers and time.perf_counter() - begun < (ANSWER_WITHIN if robot.current_motion_id else 1e-3):
+        within = ANSWER_WITHIN if robot.current_motion_id and heard() else 1e-3
+        while not answers and time.perf_counter() - begun < within:
             robot.process_commands()
             time.sleep(5e-5)
         server.sim.step()

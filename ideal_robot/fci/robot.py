@@ -90,6 +90,7 @@ class FciRobot(LinkedRobot):
         self.host, self._cartesian = host, cartesian
         self._franka: Any = None
         self._control: Any = None
+        self._stopped = False
         self._ticks = self._cycle_began = 0
         self._knots = np.full((3, _AXES), np.nan)
 
@@ -140,7 +141,7 @@ class FciRobot(LinkedRobot):
         if self._control is None:
             raise FciError("hand over a command first")
         while True:
-            state, before = self._read(), self._ticks
+            before, state = self._ticks, self._read()
             self.counts.late += max(self._ticks - before - 1, 0)
             if (since := (self._ticks - self._cycle_began) // self._steps) > 0:
                 break
@@ -156,11 +157,11 @@ class FciRobot(LinkedRobot):
         return self._state(state)
 
     def close(self) -> None:
-        """Ends the motion where the arm is commanded, and the connection."""
-        if self._control is not None:
+        """Ends the motion where the arm is commanded, unless the controller has, and the connection."""
+        # A controller that has ended the motion by itself answers no command any more.
+        if self._control is not None and not self._stopped:
             command = self._library.JointPositions(self.commanded.tolist())
             command.motion_finished = True
-            # The controller may have ended it already.
             with suppress(self._library.FrankaException, RuntimeError):
                 self._control.writeOnce(command)
         self._control = self._franka = None
@@ -192,6 +193,7 @@ class FciRobot(LinkedRobot):
         try:
             return call()
         except (self._library.FrankaException, RuntimeError) as error:
+            self._stopped = True
             if _SILENT in _line(error):
                 raise FciError("the controller is silent; check cable and power, and that FCI is activated in Desk "
                                f"({_line(error)})") from error

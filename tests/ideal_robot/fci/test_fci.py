@@ -131,7 +131,7 @@ def test_the_path_goes_on_where_the_controller_did(led) -> None:
         for _ in range(link.gone_on):
             link.skip(way(1e-3 * k))
             k += 1
-    assert link.counts.lost == 6
+    assert link.counts.lost == link.counts.late == 6
     np.testing.assert_allclose(np.unique(np.round(np.diff(times), 9)), [1e-3, 2e-3, 6e-3])
     acceleration = np.diff([q for _, q in controller.commands], axis=0)
     assert np.abs(acceleration).max() < 2.5 * 6e-3
@@ -151,10 +151,15 @@ def test_too_many_lost_end_it(led) -> None:
     ("joint_reflex", "a collision was detected"), ("joint_motion_generator_velocity_discontinuity", "speed leaps"),
     ("communication_constraints_violation", "answers came too late"), ("something_new", "something_new")])
 def test_a_reflex_is_said_in_words(led, name: str, says: str) -> None:
-    link = led(Controller(stops=(50, name)))
+    controller = Controller(stops=(50, name))
+    link = led(controller)
     with pytest.raises(FciError, match=says):
         follow(link, 100)
     assert name in said(name)
+    # It has ended the motion by itself: a last command would wait for an answer that does not come.
+    sent = len(controller.commands)
+    link.close()
+    assert len(controller.commands) == sent
 
 
 def test_silence_is_not_called_a_stop_of_the_arm(led) -> None:
