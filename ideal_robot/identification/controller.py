@@ -17,7 +17,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import commanded, in_cycle, require_changes, require_loop
+from ideal_robot.identification.loop_recordings import commanded, in_cycle, require_changes, require_loop
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.results import Summarised, listed
 from ideal_robot.signals.recording import Recording

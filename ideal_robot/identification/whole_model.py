@@ -16,13 +16,14 @@ from ideal_robot.command.recorded import moving_at_start, with_commands
 from ideal_robot.command.words import described
 from ideal_robot.errors import InputError
 from ideal_robot.friction import CubeRoot
+from ideal_robot.identification.cascade_fit import fit_controller
 from ideal_robot.identification.checks import checked
-from ideal_robot.identification.closed_loop_fit import LinearLoopFit, fit_controller, identify_linear_loop
 from ideal_robot.identification.command import identify_command, judged
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
 from ideal_robot.identification.friction_choice import WarmUp, fit_warm_up
 from ideal_robot.identification.idim import Identification, identify
 from ideal_robot.identification.joint_fit import stiffness_from_arm
+from ideal_robot.identification.linear_loop_fit import LinearLoopFit, identify_linear_loop
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts
 from ideal_robot.loop.from_model import sheet_rotors

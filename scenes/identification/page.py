@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.identification.angles_alone import CommandIdentification
-from ideal_robot.identification.closed_loop_fit import LinearLoopFit
 from ideal_robot.identification.controller import ControllerIdentification
+from ideal_robot.identification.linear_loop_fit import LinearLoopFit
 from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.identification.whole_model import IdentificationResult, command_figures, friction_points
 from ideal_robot.model.cascade import helped

@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import (
-    _Channel,
-    _JointCascade,
-    commands_in_force,
-    fit_controller,
-    identify_linear_loop,
-)
+from ideal_robot.identification.cascade_fit import _Channel, _JointCascade, commands_in_force, fit_controller
 from ideal_robot.identification.controller import identify_controller
+from ideal_robot.identification.linear_loop_fit import identify_linear_loop
 from ideal_robot.loop.from_model import cascade_gains
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
