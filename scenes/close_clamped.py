@@ -117,7 +117,7 @@ class _Clamp(Subject[Play]):
         form = Form("stiffness of all joints", lambda model, _: dataclasses.replace(model, gears=Gears(stiffness)))
         return Found(None, self.recordings[0], (Group((form,)),))
 
-    def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
+    def readings(self, before: Play, after: Play, known: Model, model: Model) -> list[tuple[Array, Array]]:
         without, with_it = list[Array](), list[Array]()
         for joint in range(1, self._robot.n + 1):
             loads = joint_loads(self.analysis.signals, self._robot, self._method, joint)

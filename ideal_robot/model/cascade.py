@@ -146,7 +146,7 @@ def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Arr
     return np.array(np.broadcast_to(array, (n,)), dtype=float)
 
 
-def helped(controller: ControllerModel) -> str:
+def beside_cascade(controller: ControllerModel) -> str:
     """What drives do beside the loops of a P/PI cascade, in the field's words; empty where nothing was found."""
     parts = [] if controller.integrated else ["PID control of the position"]
     if controller.bodies is not None:

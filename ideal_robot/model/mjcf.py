@@ -24,7 +24,7 @@ from ideal_robot.dynamics.consistent_inertias import BODY, LINK, consistent_para
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.friction.laws import ViscousCoulomb
-from ideal_robot.model.cascade import Cascade, helped
+from ideal_robot.model.cascade import Cascade, beside_cascade
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import urdf_with_inertials
 from ideal_robot.model.parametrisation import coefficient_columns, friction_places, parameter_vector
@@ -473,7 +473,7 @@ def _unsaid_of_controllers(model: Model) -> Iterator[str]:
     if model.controller is not None and not leads and None in servos:
         if np.any(model.controller.k_i > 0.0):
             yield "the integrators of the velocity loops"
-        if words := helped(model.controller):
+        if words := beside_cascade(model.controller):
             yield f"what drives do by themselves: {words}"
         if np.any(model.controller.filter_time > 0.0) or model.controller.delay > 0.0:
             yield "the commands' low-pass and dead time"

@@ -9,7 +9,7 @@ import numpy as np
 
 from ideal_robot.command.words import beyond_cascade
 from ideal_robot.identification.whole_model import with_controllers
-from ideal_robot.model.cascade import Cascade, helped
+from ideal_robot.model.cascade import Cascade, beside_cascade
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -47,7 +47,7 @@ def differing(known: Model, found: Model) -> str:
         assert found.command is not None
         return _by_law(found)
     assert found.controller is not None
-    parts = [words] if (words := helped(found.controller)) else []
+    parts = [words] if (words := beside_cascade(found.controller)) else []
     late = found.controller.delay - (known.controller.delay if known.controller is not None else 0.0)
     if late > _SHOWN_LATE:
         parts.append(f"commands {1e3 * late:.2g} ms late")

@@ -219,13 +219,12 @@ class Subject(ABC, Generic[R]):
         """
 
     @abstractmethod
-    def readings(self, before: R, after: R, model: Model) -> list[tuple[Array, Array]]:
+    def readings(self, before: R, after: R, known: Model, model: Model) -> list[tuple[Array, Array]]:
         """Measured deviations ``(N,)`` or ``(N, c)`` of two plays [SI], in every reading that is left open.
 
         Args:
-            before: the play with the present model.
-            after: the play with the changed one.
-            model: the changed one.
+            before, after: the plays with the present model and with the changed one.
+            known, model: these models.
         """
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: R) -> tuple[list[int], str]:
@@ -287,7 +286,7 @@ class Closed(Generic[R]):
     def _tried(self, form: Form, model: Model) -> bool:
         try:
             run = self.subject.play(model)
-            readings = [Comparison.of(*pair) for pair in self.subject.readings(self.run, run, model)]
+            readings = [Comparison.of(*pair) for pair in self.subject.readings(self.run, run, self.model, model)]
         except IdealRobotError as failed:
             return self._note(form, f"cannot be played: {failed}")
         # Whatever is doubtful about what is not measured, the error has to fall.
@@ -323,7 +322,7 @@ def close(subject: Subject[R], model: Model, run: R, *, rounds: int = ROUNDS, ou
         within = Steps(part_of(progress, before_it, (1.0 - _LEFT) * (1.0 - before_it)), SHARES_OF_ROUND)
         try:
             finding = subject.find(closed.model, closed.run, within.begin("finding", f"round {round_}: diagnosis"))
-            closed.first = closed.first if last else Comparison.of(*subject.readings(run, run, model)[0]).before
+            closed.first = closed.first if last else Comparison.of(*subject.readings(run, run, model, model)[0]).before
             within.begin("trying", f"round {round_}: what was found is tried")
             stays = closed.try_all(finding)
             if not stays:

@@ -87,7 +87,8 @@ class _Force(Subject[ForceResult]):
                    if effect.fitted.domain == SENSOR and effect.fitted.name in ("force_bias", "force_compliance")]
         return Found(diagnosis, self.seen(run), (Group.adding(effects),))
 
-    def readings(self, before: ForceResult, after: ForceResult, model: Model) -> list[tuple[Array, Array]]:
+    def readings(self, before: ForceResult, after: ForceResult, known: Model, model: Model
+                 ) -> list[tuple[Array, Array]]:
         without, with_it = self._left(before), self._left(after)
         shared = [channel for channel in without if channel in with_it]
         return [(np.concatenate([without[c] for c in shared]), np.concatenate([with_it[c] for c in shared]))]

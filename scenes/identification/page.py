@@ -15,7 +15,7 @@ from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.linear_loop_fit import LinearLoopFit
 from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.identification.whole_model import IdentificationResult, command_figures, friction_points
-from ideal_robot.model.cascade import helped
+from ideal_robot.model.cascade import beside_cascade
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.results import one_unit
@@ -254,7 +254,7 @@ def _controller(page: Report, controller: ControllerIdentification, arm: Model) 
                 "k_I direct", "error [%]"], rows,
                f"[G] (16), (17) at {1e3 * model.t_cycle:g} ms; the command takes effect "
                f"{1e3 * model.delay:.3g} ms after it is logged.")
-    if arm.controller is not None and (words := helped(arm.controller)):
+    if arm.controller is not None and (words := beside_cascade(arm.controller)):
         page.text(f"At the controllers' own cycle: {words}.")
     page.figure(drift_figure(controller, one_unit(arm.units("N m"))), "Why k_I is found by simulation ([G] Fig. 17): a "
                 "value that is best from one step to the next lets errors add up; deviation of the simulated from "

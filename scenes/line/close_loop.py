@@ -35,7 +35,6 @@ from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.progress import Steps
 from ideal_robot.registry import in_words
 from ideal_robot.robots.robot import Robot
@@ -136,7 +135,7 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, .
 
 @dataclass
 class _Line(Subject[LineResult]):
-    """A line, the camera that sees it and the arm that follows it; which controllers each play knew is kept."""
+    """A line, the camera that sees it and the arm that follows it."""
 
     scene: LineScene
     cell: Cell
@@ -147,7 +146,6 @@ class _Line(Subject[LineResult]):
     looks_at_arm: bool
     stops: bool = False
     about: list[Recording] = field(default_factory=list)
-    played_with: dict[int, ControllerModel | None] = field(default_factory=dict)
 
     def play(self, model: Model, shared: Prepared | None = None) -> LineResult:
         scene = self.scene.model_copy(update={"model": str(model.save(self.folder / "model.json"))})
@@ -156,7 +154,6 @@ class _Line(Subject[LineResult]):
             # Of the piece before it stopped nothing can be compared, unless the first one stopped, too.
             raise SceneError(run.failure)
         self.stops = self.stops or bool(run.failure)
-        self.played_with[id(run)] = model.controller
         return run
 
     def find(self, model: Model, run: LineResult, progress: Progress) -> Found:
@@ -188,8 +185,8 @@ class _Line(Subject[LineResult]):
         """The joint controllers anew, from the motion about the line; None where it does not tell them."""
         return controllers_anew(self.known, self.moved(), self.robot)
 
-    def readings(self, before: LineResult, after: LineResult, model: Model) -> list[tuple[Array, Array]]:
-        if model.controller is not self.played_with[id(before)]:
+    def readings(self, before: LineResult, after: LineResult, known: Model, model: Model) -> list[tuple[Array, Array]]:
+        if model.controller is not known.controller:
             # What controllers are for, whatever gears and geometry add behind the motors.
             return [(self._kept(before, "motor"), self._kept(after, "motor"))]
         of_camera = not model.effects or model.effects[-1].channel == "line"

@@ -158,7 +158,7 @@ class ArmOnPath(Subject[Play]):
     def _suggested(self, diagnosis: Diagnosis, moved: Recording) -> Found:
         return Found(diagnosis, moved, *changes(self.cell.model, diagnosis, self.measured))
 
-    def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
+    def readings(self, before: Play, after: Play, known: Model, model: Model) -> list[tuple[Array, Array]]:
         """See ``Subject.readings``."""
         if model.controller is not self.cell.model.controller or model.command is not self.cell.model.command:
             # When the arm comes to a place is what controllers are for.

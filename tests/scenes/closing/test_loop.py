@@ -63,7 +63,7 @@ class World(Subject[Array]):
     def find(self, model: Model, run: Array, progress: Any) -> Found:
         return self.rounds.pop(0) if self.rounds else found()
 
-    def readings(self, before: Array, after: Array, model: Model) -> list[tuple[Array, Array]]:
+    def readings(self, before: Array, after: Array, known: Model, model: Model) -> list[tuple[Array, Array]]:
         return [(before, after)]
 
 
@@ -118,7 +118,7 @@ def test_the_next_form_is_tried_where_one_cannot_be_played() -> None:
 
 def test_an_error_has_to_fall_in_every_reading() -> None:
     class Doubtful(World):
-        def readings(self, before: Array, after: Array, model: Model) -> list[tuple[Array, Array]]:
+        def readings(self, before: Array, after: Array, known: Model, model: Model) -> list[tuple[Array, Array]]:
             return [(before, after), (after, before)]
 
     world = Doubtful(found(Group((form(effect(1)),))))
