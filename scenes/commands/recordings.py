@@ -143,7 +143,7 @@ def _show_alone(analysis: CommandIdentification, page: Path) -> None:
 def _show_commands(model: Model) -> None:
     """Prints each joint's controller, and the law's residual of command minus angle on held-out data."""
     from ideal_robot.identification.whole_model import command_figures
-    from ideal_robot.model.cascade import helped
+    from ideal_robot.model.cascade import beside_cascade
 
     figures, units = command_figures(model), model.units("mrad")
     if not figures:
@@ -152,7 +152,7 @@ def _show_commands(model: Model) -> None:
                ["joint", "found", "command minus angle", "law leaves", "unit"],
                [[f["joint"], f["found"], 1e3 * f["of"], 1e3 * f["left"], unit]
                 for f, unit in zip(figures, units, strict=True)])
-    if model.controller is not None and (words := helped(model.controller)):
+    if model.controller is not None and (words := beside_cascade(model.controller)):
         typer.echo(f"what drives do by themselves: {words}")
     law = model.command
     if law is not None and law.cascade is not None:
