@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +62,21 @@ def read_path(path: Path, robot: Robot) -> GivenPath:
             do not fit together.
     """
     if path.suffix == ".json":
-        return _trajectory(_found(_parsed(path), path), robot, path)
-    if (path.is_dir() or path.suffix in SUFFIXES) and (message := _in_bag(path)) is not None:
-        return _trajectory(message, robot, path)
+        first, count = _found(_parsed(path), path)
+        return _one_of(count, "first", _trajectory(first, robot, path), path)
+    if path.is_dir() or path.suffix in SUFFIXES:
+        last, count = _in_bag(path)
+        if last is not None:
+            return _one_of(count, "last", _trajectory(last, robot, path), path)
     return _columns(path, robot)
+
+
+def _one_of(count: int, which: str, given: GivenPath, path: Path) -> GivenPath:
+    """A path that says of how many trajectories in its file it is one."""
+    if count == 1:
+        return given
+    text = f"trajectories: {path.name} holds {count} JointTrajectory; the {which} is taken, the others are left out"
+    return replace(given, warnings=(text, *given.warnings))
 
 
 def _columns(path: Path, robot: Robot) -> GivenPath:
@@ -95,45 +106,49 @@ def _parsed(path: Path) -> Any:
         raise InputError(f"not readable as JSON ({error})", file=path) from error
 
 
-def _found(value: Any, path: Path) -> Mapping[str, Any]:
-    """The first table with ``joint_names`` and ``points``, at any depth."""
+def _found(value: Any, path: Path) -> tuple[Mapping[str, Any], int]:
+    """The first table with ``joint_names`` and ``points``, at any depth, and how many there are."""
+    found: list[Mapping[str, Any]] = []
     waiting, index = [value], 0
     while index < len(waiting):
         entry = waiting[index]
         index += 1
         if isinstance(entry, dict):
             if "points" in entry and "joint_names" in entry:
-                return entry
-            waiting.extend(entry.values())
+                found.append(entry)
+            else:
+                waiting.extend(entry.values())
         elif isinstance(entry, list):
             waiting.extend(entry)
+    if found:
+        return found[0], len(found)
     raise InputError("holds no JointTrajectory: a table with joint_names and points is needed", file=path,
                      field="joint_names")
 
 
-def _in_bag(path: Path) -> Mapping[str, Any] | None:
-    """The last JointTrajectory of a bag as a table; None where it holds none."""
+def _in_bag(path: Path) -> tuple[Mapping[str, Any] | None, int]:
+    """The last JointTrajectory of a bag as a table, None where it holds none, and how many there are."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             wanted = [one for one in reader.connections if one.msgtype == _TYPE or one.msgtype in _WITHIN]
-            last = None
+            last, count = None, 0
             for connection, _, raw in reader.messages(connections=wanted) if wanted else ():
                 for message in _trajectories(reader.deserialize(raw, connection.msgtype)):
-                    last = message
+                    last, count = message, count + 1
     except InputError:
         raise
     except Exception as error:  # the library raises whatever a broken bag leads to
         raise InputError(f"not a readable bag ({str(error)[:200]})", file=path) from error
     if last is None:
-        return None
+        return None, 0
     points = [{"positions": list(point.positions), "velocities": list(point.velocities),
                "accelerations": list(point.accelerations),
                "time_from_start": {"sec": point.time_from_start.sec, "nanosec": point.time_from_start.nanosec}}
               for point in last.points]
-    return {"joint_names": list(last.joint_names), "points": points}
+    return {"joint_names": list(last.joint_names), "points": points}, count
 
 
 def _trajectories(message: Any) -> Iterator[Any]:

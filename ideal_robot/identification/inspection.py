@@ -120,7 +120,10 @@ def inspect(recording: Recording, robot: Robot) -> Inspection:
         InputError: the recording has no samples or no joints at all.
     """
     expect(recording, Recording, "recording", "make one by Recording.from_frame, from_arrays or read")
-    if recording.n == 0 or len(recording.t) < 2:
+    if recording.n and len(recording.t) < 2:
+        raise InputError("a recording needs samples over time", file=recording.source, field="t",
+                         value=f"{len(recording.t)} samples")
+    if recording.n == 0:
         raise InputError("holds no joint positions q_1, q_2, … over time; map the columns with --columns",
                          file=recording.source, field="q_1")
     unused = tuple(name for name in recording.columns if not is_known_column(name))

@@ -74,9 +74,10 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
     for j in range(recording.n):
         name, values = f"tau_{j + 1}", tau[:, j]
         zeros = float(np.mean(values == 0.0))
-        if zeros > _ZEROS:
-            notes.append(ChannelFinding(DEAD, name, j, f"{name} is exactly zero in {100 * zeros:.0f} % of the samples; "
-                                        f"joint {j + 1} is left out, its friction and rotor stay unknown"))
+        if zeros > _ZEROS or np.ptp(values) == 0.0:
+            how = f"is exactly zero in {100 * zeros:.0f} % of the samples" if zeros > _ZEROS else "never changes"
+            notes.append(ChannelFinding(DEAD, name, j, f"{name} {how}; joint {j + 1} is left out, its friction and "
+                                        "rotor stay unknown"))
             continue
         step = lattice(values)
         if step > _COARSE * np.std(values):

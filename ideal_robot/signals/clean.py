@@ -112,8 +112,6 @@ def cleaned(recording: Recording, robot: Robot, *, commands: bool = False) -> Cl
         if np.ptp(q[:, j]) < STILL:
             acts.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g}; its friction and "
                         "inertia cannot be identified")
-        if np.ptp(tau[:, j]) == 0.0 and tau[0, j] != 0.0:
-            acts.append(f"constant-torque: tau_{j + 1} never changes")
     recording, spread = at_sampling_instants(recording)
     if spread > 0.0:
         acts.append(f"irregular-sampling: samples were taken {1e3 * spread:.2g} ms (standard deviation) off their "

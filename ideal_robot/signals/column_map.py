@@ -40,6 +40,8 @@ _COMMANDED = frozenset(("target", "command", "commanded", "commands", "cmd", "re
                         "computed"))
 _AXIS = frozenset(("axis", "act"))
 """KUKA's words for positions: ``$AXIS_ACT``."""
+_KRL_ANGLE = re.compile(r"\$AXIS\w*\[A?\d+\]", re.IGNORECASE)
+"""Axes that turn among KRL's variables, which are degrees by KUKA's manual; external ones may slide."""
 _OTHERS = frozenset(("tcp", "tool", "cartesian", "pose", "ee", "ext", "external", "error", "err", "deviation", "limit",
                      "max", "min", "gravity", "coriolis", "mass", "mode", "status", "voltage", "output", "estimated",
                      "pid", "raw", "window", "acceleration", "acc"))
@@ -106,8 +108,10 @@ class ColumnMap:
         if self.rate is not None:
             result["t"] = np.arange(len(next(iter(columns.values()), ()))) / self.rate
             said.append(f"clock: samples are counted at {self.rate:g} Hz")
-        t, unit = _from_epoch(result["t"]) if "t" in result else (None, "")
-        if t is not None and "t" in result and t is not result["t"]:
+        clock = result.get("t", columns.get("t"))
+        t, unit = (None, "") if clock is None else _from_epoch(clock)
+        # A column that is called t is in seconds since when it likes, but for the epoch's milliseconds.
+        if t is not None and t is not clock and ("t" in result or unit):
             result["t"] = t
             said.append(f"epoch-stamps: times count from the first stamp{unit and f', from {unit}'}")
         result.update({name: values for name, values in columns.items() if name not in taken and name not in result})
@@ -344,6 +348,8 @@ def _joint_column(title: str) -> _Told | None:
     if not kinds:
         return None
     quantity = _WORDS.get(kinds[-1], "q")
+    if not unit and _KRL_ANGLE.search(title) and quantity == "q":
+        unit = "deg"
     # libfranka's q_d; a joint's name may be d.
     led = _COMMANDED | ({"d"} if "d" in words[words.index(kinds[-1]):] else set())
     commanded, measured = bool(led & set(words)), bool(_MEASURED & set(words))

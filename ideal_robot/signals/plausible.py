@@ -47,7 +47,7 @@ def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = No
 
 
 def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, column: str = "q") -> None:
-    """Refuses positions that leave the joint limits by far, degrees or millimetres: raises InputError.
+    """Refuses positions that leave the joint limits by far, degrees, millimetres or motors' own: raises InputError.
 
     A joint whose limits hold every angle may have been turned on: where its positions are no degrees they are taken.
 
@@ -68,8 +68,14 @@ def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, colu
         elif not degrees and _all_angles(robot)[j]:
             continue
         else:
-            unit, guess = "rad", ("they look like degrees, radians are expected" if degrees
-                                  else "wrong robot, or not in radians?")
+            unit, ratio = "rad", abs(float(robot.gear_ratio[j]))
+            geared = ratio > 1.0 and largest[j] <= _LEAVING * span[j] * ratio
+            guesses = ['degrees, radians are expected (of a recording: unit = "deg" in --columns)'] * degrees
+            if geared:
+                guesses.append("the motor's own angles, before its gear: divide by its ratio "
+                               f"{ratio:g} (of a recording: factor = {1.0 / ratio:.6g} in --columns)")
+            guess = (f"they look like {', or like '.join(guesses)}" if guesses
+                     else "wrong robot, not in radians, or the motor's own angles, before its gear?")
         raise InputError(f"positions up to {largest[j]:.4g} leave the joint limit of {span[j]:.4g} {unit}; {guess}",
                          file=file, field=f"{column}_{j + 1}", value=round(float(largest[j]), 4))
 

@@ -88,8 +88,9 @@ def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
     """The recording with stamps that rise, and what was done; as it is where that cannot be said.
 
     Recordings one after another, each with a clock of its own, are joined with a pause between them. Samples of a
-    handful of stamps that fall are left out. Stamps of too few digits, many of them alike, are put on a
-    clock: an even one, or one that spreads the samples of a stamp evenly, whichever the positions are smoother over.
+    handful of stamps that fall are left out, of two with one stamp the one that is off the others' motion. Stamps of
+    too few digits, many of them alike, are put on a clock: an even one, or one that spreads the samples of a stamp
+    evenly, whichever the positions are smoother over.
     """
     t = recording.t
     if len(t) < 2 or not np.all(np.isfinite(t)):
@@ -112,6 +113,7 @@ def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
         return joined
     rising = _longest_rising(t)
     rising &= _together(t, rising)
+    rising = _of_ties(t, recording.joints("q"), rising)
     bad = int((~rising).sum())
     if bad > _MOST_BAD * len(t):
         return recording, []
@@ -182,6 +184,21 @@ def _longest_rising(t: Array) -> np.ndarray:
         rising[k] = True
         k = int(before[k])
     return rising
+
+
+def _of_ties(t: Array, q: Array, rising: np.ndarray) -> np.ndarray:
+    """The mask ``rising (N,)`` with that one of neighbours with one stamp whose positions of ``q (N, n)`` are its."""
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(t)) + 1])
+    ends = np.concatenate([begins[1:], [len(t)]])
+    single = np.repeat(ends - begins == 1, ends - begins) & rising
+    if np.count_nonzero(single) < WINDOW:
+        return rising
+    chosen, motion = rising.copy(), interpolate.CubicSpline(t[single], q[single], axis=0)
+    for begin, end in zip(begins, ends, strict=True):
+        if end - begin > 1 and rising[begin:end].any():
+            off = np.linalg.norm(q[begin:end] - motion(t[begin]), axis=1)
+            chosen[begin:end] = np.arange(end - begin) == np.argmin(off)
+    return chosen
 
 
 # Samples taken at irregular instants, and stamped as if they were regular: the motion itself tells the instants.

@@ -215,6 +215,13 @@ def recording_of(path: Path, columns: Path | None, topic: str | None, joints: st
     return Recording.read(path, columns=columns, topic=topic, joints=names)
 
 
+def reading_options(columns: Path | None, topic: str | None, joints: str | None, drive_data: Path | None = None
+                    ) -> tuple[str, ...]:
+    """The words of the options by which a recording is read, for the command that comes next."""
+    given = {"--columns": columns, "--topic": topic, "--joints": joints, "--drive-data": drive_data}
+    return tuple(word for option, value in given.items() if value is not None for word in (option, str(value)))
+
+
 def scenes_there(given: Any) -> Any:
     """A scene or scenes as given, or InputError for none or two of that name: before what plays them is loaded."""
     from scenes.scene_file import find_scene

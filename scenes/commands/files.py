@@ -367,6 +367,9 @@ def twin(
                                             "what accuracy to expect; ten take some twenty "
                                             "minutes.", min=0, max=100)] = 0,
     seed: Seed = None,
+    columns: ColumnsMap = None,
+    topic: StatesTopic = None,
+    joints: JointNames = None,
     json: JsonResults = None,
 ) -> None:
     """Makes a simulated arm of recordings, so that scenes tell what accuracy to expect on the recorded one.
@@ -379,7 +382,6 @@ def twin(
     `ideal-robot twin out/plan/recording.parquet --robot kr6 -o my_arm.toml`
     """
     from ideal_robot.identification.whole_model import identify_model, with_given_controller
-    from ideal_robot.signals.recording import Recording
     from scenes.arms import arm_of
     from scenes.identification.twin_play import make_twin, twin_text
     from scenes.scene_files.scene import NAME
@@ -390,7 +392,7 @@ def twin(
     check_outputs(output=output, json=json)
     with progress_bar("twin") as progress:
         arm = arm_of(robot)
-        loaded = [Recording.read(path) for path in recordings]
+        loaded = [recording_of(path, columns, topic, joints) for path in recordings]
         analysis = identify_model(loaded, arm, progress=part_of(progress, 0.0, 0.5))
         if controller is not None:
             analysis = with_given_controller(analysis, controller, arm)

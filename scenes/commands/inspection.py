@@ -18,6 +18,7 @@ from scenes.commands.common import (
     RobotName,
     StatesTopic,
     progress_bar,
+    reading_options,
     recording_of,
     show_table,
     write_signed,
@@ -89,11 +90,15 @@ def _show(found: Inspection) -> None:
 
 def _next(found: Inspection, options: InspectOptions) -> tuple[str, str]:
     """What to do after an inspection: a sentence and its command."""
+    from ideal_robot.signals.bag import SUFFIXES
     from scenes.report.call import Call
 
-    call = Call(options.recording, options.robot)
+    call = Call(options.recording, options.robot,
+                reading=reading_options(options.columns, options.topic, options.joints, options.drive_data))
     if found.usable:
-        return ("Identify the arm's model from it.",
-                f"ideal-robot identify {call}")
-    return ("Mend what does not fit, or map it, and inspect again.",
-            f"ideal-robot inspect {call} --columns MAP")
+        return "Identify the arm's model from it.", f"ideal-robot identify {call}"
+    if options.recording.is_dir() or options.recording.suffix.lower() in SUFFIXES:
+        how = "" if options.joints else " --joints JOINTS"
+        return "Mend what does not fit, or choose, and inspect again.", f"ideal-robot inspect {call}{how}"
+    how = "" if options.columns else " --columns MAP"
+    return "Mend what does not fit, or map it, and inspect again.", f"ideal-robot inspect {call}{how}"

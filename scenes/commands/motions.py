@@ -11,7 +11,19 @@ import typer
 from ideal_robot.errors import InputError
 from ideal_robot.progress import part_of
 from ideal_robot.whole_file import whole_files
-from scenes.commands.common import DriveData, JsonPlan, RobotName, SearchSeed, progress_bar, show_table, write_signed
+from scenes.commands.common import (
+    ColumnsMap,
+    DriveData,
+    JointNames,
+    JsonPlan,
+    RobotName,
+    SearchSeed,
+    StatesTopic,
+    progress_bar,
+    recording_of,
+    show_table,
+    write_signed,
+)
 from scenes.outputs import check_outputs, folders_held, whole_folder
 from scenes.scene_file import load_scene
 
@@ -89,6 +101,9 @@ class DiagnosticMotion:
 
     recording: Annotated[Path, typer.Argument(help="Recording that was diagnosed (Parquet, CSV, ROS 2 bag or MCAP).")]
     robot: RobotName
+    columns: ColumnsMap = None
+    topic: StatesTopic = None
+    joints: JointNames = None
     result: Annotated[Path | None, typer.Option(help="What diagnose --json wrote of it; without it the recording is "
                                                      "diagnosed now.")] = None
     model: Annotated[Path | None, typer.Option(help="Model that the diagnosis was given.")] = None
@@ -116,13 +131,13 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
     from ideal_robot.diagnosis import plan_diagnosis
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
-    from ideal_robot.signals.recording import WRITTEN, Recording
+    from ideal_robot.signals.recording import WRITTEN
 
     check_outputs(out=options.out, json=options.json)
     if options.out.suffix not in WRITTEN:
         raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(options.out))
     arm = Robot.load(options.robot, options.drive_data)
-    recording = Recording.read(options.recording)
+    recording = recording_of(options.recording, options.columns, options.topic, options.joints)
     workspace = _workspace(arm, options.z_min, options.cell)
     known = None if options.model is None else Model.load(options.model)
     with progress_bar("plan-diagnosis") as progress:

@@ -25,6 +25,7 @@ from scenes.commands.common import (
     StatesTopic,
     completed,
     progress_bar,
+    reading_options,
     recording_of,
     show_table,
     write_signed,
@@ -81,6 +82,10 @@ class IdentifyOptions:
     out: ReportFolder = Path("out/identify")
 
 
+def _reading(options: IdentifyOptions | DiagnoseOptions) -> tuple[str, ...]:
+    return reading_options(options.columns, options.topic, options.joints, options.drive_data)
+
+
 def identify(options: IdentifyOptions) -> None:
     """Friction, base parameters, rotor inertias, offsets and controllers of an arm, each with its uncertainty.
 
@@ -119,7 +124,7 @@ def identify(options: IdentifyOptions) -> None:
         content, page = analysis.to_dict(), options.out / "report.html"
         outputs = (page, options.json, options.model, options.export_urdf)
         with whole_files(*outputs) as (page_file, json_file, model_file, urdf_file):
-            identification_page(analysis, Call(options.recordings[0], options.robot),
+            identification_page(analysis, Call(options.recordings[0], options.robot, reading=_reading(options)),
                                 str(options.model or "")).write(page_file)
             write_signed(json_file, content)
             if model_file is not None:
@@ -245,7 +250,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         page = options.out / "report.html"
         better = None if diagnosis.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
-            call = Call(options.recording, options.robot, options.model)
+            call = Call(options.recording, options.robot, options.model, _reading(options))
             page_of = diagnosis_page(diagnosis, f"{arm.name}: what its model lacks", call)
             for finding in contradictions:
                 page_of.warning(finding.warning)
@@ -424,6 +429,9 @@ def _played_errors(measured: tuple[Array, Array] | None) -> dict[str, Any]:
 def validate(
     recording: Annotated[Path, typer.Argument(help="Recording to compare with (Parquet, CSV, ROS 2 bag or MCAP).")],
     mjcf: Annotated[Path, typer.Option(help="MuJoCo model of the arm (MJCF or URDF); needs the extra 'mujoco'.")],
+    columns: ColumnsMap = None,
+    topic: StatesTopic = None,
+    joints: JointNames = None,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
     out: ReportFolder = Path("out/validate"),
 ) -> None:
@@ -433,13 +441,12 @@ def validate(
     """
     from ideal_robot.diagnosis import diagnose
     from ideal_robot.model.mjcf import arm_of_mjcf
-    from ideal_robot.signals.recording import Recording
     from scenes.diagnosis.page import summary
     from scenes.diagnosis.validation_page import COLUMNS, rows, validation_page
 
     check_outputs({"--out": out}, json=json)
     arm = arm_of_mjcf(mjcf)
-    loaded = Recording.read(recording)
+    loaded = recording_of(recording, columns, topic, joints)
     for text in arm.left_out:
         typer.echo(f"warning: left out of {mjcf.name}: {text}", err=True)
     prediction = arm.model.predict(loaded)

@@ -71,7 +71,8 @@ def next_steps(diagnosis: Diagnosis, call: Call) -> list[tuple[str, str]]:
     elif diagnosis.verdict == "none":
         steps.append(("The model may stay as it is: correct a path with it.",
                       f"ideal-robot precorrect PATH.csv {call.of_robot} --model MODEL.json -o corrected.csv"))
-    return steps or [("See what the recording holds, and whether it fits the arm.", f"ideal-robot inspect {call}")]
+    return steps or [("See what the recording holds, and whether it fits the arm.",
+                      f"ideal-robot inspect {call.recorded}")]
 
 
 def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, str]] = ()) -> None:

@@ -13,20 +13,26 @@ class Call(NamedTuple):
     Attributes:
         recording, robot: as typed.
         model: that was given, or None.
+        reading: options that say how the recording is read, as typed.
     """
 
     recording: str | Path = "RECORDING"
     robot: str = "ROBOT"
     model: str | Path | None = None
+    reading: tuple[str, ...] = ()
 
     @property
     def of_robot(self) -> str:
         """The robot's option, quoted for a shell."""
         return shlex.join(["--robot", self.robot])
 
+    @property
+    def recorded(self) -> str:
+        """The recording, its robot and how it is read, quoted for a shell."""
+        return shlex.join([str(self.recording), "--robot", self.robot, *self.reading])
+
     def __str__(self) -> str:
-        given = [] if self.model is None else ["--model", str(self.model)]
-        return " ".join(filter(None, (shlex.quote(str(self.recording)), self.of_robot, shlex.join(given))))
+        return self.recorded + ("" if self.model is None else " " + shlex.join(["--model", str(self.model)]))
 
 
 UNKNOWN = Call()

@@ -112,7 +112,16 @@ def test_joints_that_are_not_the_arms_are_left_out_and_missing_ones_refused(tmp_
             read_path(file, ROBOT)
 
 
-def test_a_trajectory_in_a_bag_is_the_path(tmp_path: Path) -> None:
+def test_of_several_trajectories_the_first_is_taken_and_they_are_counted(tmp_path: Path) -> None:
+    messages = [trajectory(NAMES, list(range(6)), count=count) for count in (6, 9, 7)]
+    (tmp_path / "plan.json").write_text(json.dumps({"plans": messages}))
+    given = read_path(tmp_path / "plan.json", ROBOT)
+    np.testing.assert_allclose(given.q_d, path(given.t), atol=2e-5)
+    assert any(text.startswith("trajectories: ") and " 3 " in text for text in given.warnings)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_trajectory_in_a_bag_is_the_path(times: int, tmp_path: Path) -> None:
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -129,6 +138,8 @@ def test_a_trajectory_in_a_bag_is_the_path(tmp_path: Path) -> None:
     made = kinds["trajectory_msgs/msg/JointTrajectory"](header=header, joint_names=NAMES, points=points)
     with Writer(tmp_path / "bag", version=9) as writer:
         connection = writer.add_connection("/plan", made.__msgtype__, typestore=store)
-        writer.write(connection, 1, store.serialize_cdr(made, made.__msgtype__))
+        for k in range(times):
+            writer.write(connection, 1 + k, store.serialize_cdr(made, made.__msgtype__))
     given = read_path(tmp_path / "bag", ROBOT)
     np.testing.assert_allclose(given.q_d, path(given.t), atol=2e-5)
+    assert any("trajectories: " in text for text in given.warnings) == (times > 1)

@@ -180,6 +180,9 @@ def test_dead_stepped_clipped_and_filtered() -> None:
     dead = tau.copy()
     dead[rng.random(len(T)) < 0.8, 1] = 0.0
     assert kinds(dead) == [("dead", "tau_2")]
+    dead[:, 1] = 3.7
+    assert kinds(dead) == [("dead", "tau_2")]
+    dead[:, 1] = 0.0
     assert dead_joints(channel_findings(Recording.from_arrays(T, q=motion(), tau=dead))) == [1]
     assert kinds(np.column_stack([tau[:, 0], np.round(tau[:, 1])])) == [("stepped", "tau_2")]
     assert kinds(np.column_stack([np.clip(tau[:, 0], -8.0, 8.0), tau[:, 1]])) == [("clipped", "tau_1")]

@@ -57,7 +57,6 @@ def table(titles: Callable[[int], tuple[str, str]], time: str, clock: np.ndarray
     ("Time", lambda j: (f"Axis {j + 1}.Position actual value", f"Axis {j + 1}.Torque actual value")),
     ("timestamp", lambda j: (f"actual_q_{j}", f"measured_tq_{j}")),
     ("Timestamp", lambda j: (f"MeasJntPos{j + 1}", f"MeasJntTrq{j + 1}")),
-    ("t", lambda j: (f"$AXIS_ACT[{j + 1}]", f"$TORQUE_AXIS_ACT[{j + 1}]")),
     ("times", lambda j: (f"joint{j + 1}", f"torque{j + 1}")),
     ("time", lambda j: (f"j{j + 1}", f"tau{j + 1}")),
     ("timestamp", lambda j: (f"observation.state_{j}", f"observation.effort_{j}")),
@@ -69,6 +68,16 @@ def test_titles_of_other_programs_are_recognised(time: str, titles: Any, tmp_pat
     np.testing.assert_allclose(read.joints("q"), Q)
     np.testing.assert_allclose(read.joints("tau" if read.has("tau") else "current"), TAU)
     assert any(text.startswith("columns: ") for text in read.meta["reading"])
+
+
+@pytest.mark.parametrize(("axis", "scale"), [("$AXIS_ACT[{}]", np.degrees(1.0)), ("axis_act_{}", 1.0),
+                                             ("$AXIS_ACT_MEAS[A{}]", np.degrees(1.0))])
+def test_axes_of_krl_are_degrees(axis: str, scale: float, tmp_path: Path) -> None:
+    table(lambda j: (axis.format(j + 1), f"$TORQUE_AXIS_ACT[{j + 1}]"), "t", scale=scale).to_csv(
+        tmp_path / "r.csv", index=False)
+    read = Recording.read(tmp_path / "r.csv")
+    np.testing.assert_allclose(read.joints("q"), Q)
+    np.testing.assert_allclose(read.joints("tau"), TAU)
 
 
 def test_the_measured_value_is_taken_and_the_target_is_the_command(tmp_path: Path) -> None:
@@ -205,11 +214,14 @@ def test_two_groups_of_joints_are_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("factor", "digits"), [(1.0, 6), (1e3, 3), (1e9, 0)])
-def test_epoch_stamps_count_from_the_first(factor: float, digits: int, tmp_path: Path) -> None:
-    frame = table(lambda j: (f"actual_q_{j}", f"actual_current_{j}"), "timestamp")
-    frame["timestamp"] = [f"{factor * (1.7e9 + t):.{digits}f}" for t in T]
+@pytest.mark.parametrize("title", ["timestamp", "t"])
+def test_epoch_stamps_count_from_the_first(title: str, factor: float, digits: int, tmp_path: Path) -> None:
+    frame = table(lambda j: (f"actual_q_{j}", f"actual_current_{j}"), title)
+    frame[title] = [f"{factor * (1.7e9 + t):.{digits}f}" for t in T]
     frame.to_csv(tmp_path / "r.csv", index=False)
-    np.testing.assert_allclose(Recording.read(tmp_path / "r.csv").t, T, atol=2e-6)
+    read = Recording.read(tmp_path / "r.csv").t
+    # A column t is seconds of a clock of its own.
+    np.testing.assert_allclose(read - (1.7e9 if (title, factor) == ("t", 1.0) else 0.0), T, atol=2e-6)
 
 
 # Stamps.
@@ -311,6 +323,18 @@ def test_a_handful_of_bad_stamps_is_left_out(place: int, stamp: float | str) -> 
     assert np.all(np.diff(done.recording.t) < 0.05)
 
 
+@pytest.mark.parametrize("place", [1, 250, ROWS - 1])
+@pytest.mark.parametrize("late", [False, True])
+def test_of_two_samples_with_one_stamp_the_one_of_that_time_is_kept(place: int, late: bool) -> None:
+    # A message bears the stamp of the one before it, or of the one after it.
+    wrong = place - late
+    t = 5e5 + T
+    t[wrong] = t[place if late else place - 1]
+    done = cleaned(Recording.from_arrays(t, q=Q, tau=TAU), KR6)
+    assert any(act.startswith("bad-stamps: 1 samples") and f"sample {wrong + 1}," in act for act in done.acts)
+    assert not any(act.startswith("irregular-sampling") for act in done.acts)
+
+
 # Angles, brakes, dead channels.
 
 @pytest.mark.parametrize("joint", [1, 4, 6])
@@ -327,6 +351,14 @@ def test_wrapped_angles_go_on(joint: int, shift: float) -> None:
     clean = done.recording.joints("q")
     assert np.abs(np.diff(clean, axis=0)).max() < 0.1
     np.testing.assert_allclose(np.std(clean - q, axis=0), np.zeros(N), atol=1e-9)
+
+
+@pytest.mark.parametrize("joints", [[2], [5], [1, 2, 3, 4, 5, 6]])
+def test_positions_of_the_motor_are_said_with_the_gear_ratio(joints: list[int]) -> None:
+    q, own = Q.copy(), [j - 1 for j in joints]
+    q[:, own] *= KR6.gear_ratio[own]
+    with pytest.raises(InputError, match=f"ratio {KR6.gear_ratio[1 if 2 in joints else 4]:g} "):
+        cleaned(Recording.from_arrays(T, q=q, tau=TAU), KR6)
 
 
 def test_a_wrist_that_was_turned_on_is_taken_and_degrees_are_not() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
+from typer.main import get_command
 
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import EffectParameter
@@ -21,7 +22,9 @@ from ideal_robot.effects.fitted import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.cli import app
 from scenes.closing.result import Closing
+from scenes.commands.common import reading_options
 from scenes.diagnosis.figures import contributions, effect_figure, without_each_figure
 from scenes.diagnosis.page import diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
@@ -241,6 +244,16 @@ def test_a_command_that_a_page_proposes_can_be_typed() -> None:
     call = Call("my cell/rec.parquet", "my arm.urdf", "it's.json")
     assert shlex.split(str(call)) == ["my cell/rec.parquet", "--robot", "my arm.urdf", "--model", "it's.json"]
     assert str(Call("rec.parquet", "kr6")) == "rec.parquet --robot kr6"
+
+
+@pytest.mark.parametrize("verb", ["identify", "diagnose", "plan-diagnosis", "inspect", "validate", "twin", "stiffness"])
+def test_every_verb_that_reads_a_recording_is_told_how_it_is_read(verb: str) -> None:
+    call = Call("r.csv", "kr6", None, reading_options(Path("map.toml"), "left", "a, b"))
+    assert shlex.split(str(call))[3:] == ["--columns", "map.toml", "--topic", "left", "--joints", "a, b"]
+    takes = {word for p in get_command(app).get_command(None, verb).params for word in p.opts}
+    assert takes >= {word for word in shlex.split(str(call)) if word in ("--columns", "--topic", "--joints")}
+    # What inspect lacks, a model, is not proposed to it.
+    assert Call("r.csv", "kr6", "m.json").recorded == "r.csv --robot kr6"
 
 
 # Long series are thinned, short ones are not, and no peak is lost from a drawing.
