@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
 from docs.draw_architecture import trees
-from scenes.cli import VERBS
+from scenes.cli import VERBS, app
 from tests.sources import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 FOLDERS = (*PACKAGES, "docs", "examples", "tests")
 DATA = {"toml", "json", "html", "urdf", "md", "py"}
@@ -67,6 +70,20 @@ def path_exists(path: str) -> bool:
     return any(ROOT.glob(path)) if "*" in path else (ROOT / path).exists()
 
 
+@cache
+def options(verb: str) -> frozenset[str]:
+    """Options of a verb of the command line."""
+    params = get_command(app).get_command(None, verb).params  # type: ignore[attr-defined]
+    return frozenset(["--help", *(name for param in params for name in (*param.opts, *param.secondary_opts))])
+
+
+def missing_options(text: str) -> list[str]:
+    """Options in a page's commands that their verbs do not have."""
+    commands = re.findall(r"(?:`|^ *)ideal-robot ([a-z-]+)((?:\\\n|[^`\n|#;&])*)", text, re.MULTILINE)
+    return [f"ideal-robot {verb} {word}" for verb, words in commands if verb in VERBS
+            for word in re.findall(r"(?<![\w./-])--?[a-z][a-z0-9-]*", words) if word not in options(verb)]
+
+
 def missing_in(text: str, folder: Path) -> list[str]:
     """Files, dotted names and links of a page that are not there."""
     missing = [link for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)", text) if not (folder / link).exists()]
@@ -86,7 +103,7 @@ def missing_in(text: str, folder: Path) -> list[str]:
         if re.fullmatch(r"\w+\.py", span) and not any(any((ROOT / folder).rglob(span)) for folder in FOLDERS):
             missing.append(span)
     verbs = re.findall(r"`ideal-robot ([a-z-]+)", text) + re.findall(r"^ *ideal-robot ([a-z-]+)", text, re.MULTILINE)
-    missing += [f"ideal-robot {verb}" for verb in verbs if verb not in VERBS]
+    missing += [f"ideal-robot {verb}" for verb in verbs if verb not in VERBS] + missing_options(text)
     return list(dict.fromkeys(missing))
 
 
@@ -96,12 +113,21 @@ def test_what_a_page_names_exists(page: Path) -> None:
     assert missing_in(text, page.parent) == []
 
 
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: file.stem)
+def test_what_a_notebook_tells_to_type_exists(notebook: Path) -> None:
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    assert missing_in(text, notebook.parent) == []
+
+
 def test_what_is_not_there_is_noticed() -> None:
     text = ("[a](nowhere.md) `sim/arm/arm.py` `sim/arm/legs.py` `sim.arm.arm.SimulatedArm.cycle` "
             "`sim.arm.arm.Leg` `a/b.py`")
     assert missing_in(text, ROOT) == ["nowhere.md", "sim/arm/legs.py", "sim.arm.arm.Leg", "a/b.py"]
     assert missing_in("`ideal-robot run line` `ideal-robot dance` `nowhere.py`", ROOT) == [
         "nowhere.py", "ideal-robot dance"]
+    assert missing_in("`ideal-robot fetch emps -o there`\n\n```sh\nideal-robot run line \\\n  --spede 1 --seed 2\n```",
+                      ROOT) == ["ideal-robot fetch -o", "ideal-robot run --spede"]
 
 
 # Every public function with more than two parameters says of each what it is: shape and unit stand in ``Args``.
