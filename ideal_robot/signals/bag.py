@@ -131,6 +131,7 @@ class _Reading:
         self._topic = self._chosen(topic)
         self._groups: dict[tuple[str, frozenset[str]], _Joints] = {}
         self._vectors: dict[str, tuple[array[int], array[int], array[float]]] = {}
+        self._topics: dict[str, set[str]] = {}
         self._count = 0
 
     def _chosen(self, wanted: str | None) -> str:
@@ -179,6 +180,9 @@ class _Reading:
 
     def _take(self, connection: Any, stamp: int, message: Any) -> None:
         topic, kind = connection.topic, connection.msgtype
+        stream = {_FORCE: "wrench", _POSE: "tcp", _LOOP: "q_c"}.get(kind, _LEADING.get(topic.rpartition("/")[2]))
+        if stream is not None and topic != self._topic:
+            self._topics.setdefault(stream, set()).add(topic)
         if kind == _STATE:
             if topic == self._topic:
                 self._add(topic, stamp, message, message.name, q=message.position, qd=message.velocity,
@@ -293,6 +297,10 @@ class _Reading:
                 at = np.array(headed if any(headed) else logged)
                 values_of = np.frombuffer(rows).reshape(-1, len(names_of))
                 columns.update({name: _nearest(stamps, at, values_of[:, k]) for k, name in enumerate(names_of)})
+        kinds = {"wrench": "fx to mz", "tcp": "x to qw", **{kind: f"{kind}_i" for kind in _LEADING.values()}}
+        beside = [f"{kinds[stream]} from {_some(sorted(topics))}" for stream, topics in self._topics.items()
+                  if stream in self._vectors or any(name.startswith(f"{stream}_") for name in columns)]
+        self._said += [f"beside: {', '.join(beside)}"] * bool(beside)
         return columns
 
 

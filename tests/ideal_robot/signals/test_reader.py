@@ -56,6 +56,7 @@ def table(titles: Callable[[int], tuple[str, str]], time: str, clock: np.ndarray
     ("Zeit [s]", lambda j: (f"A{j + 1} Istposition [rad]", f"A{j + 1} Drehmoment [Nm]")),
     ("Time", lambda j: (f"Axis {j + 1}.Position actual value", f"Axis {j + 1}.Torque actual value")),
     ("timestamp", lambda j: (f"actual_q_{j}", f"measured_tq_{j}")),
+    ("timestamp", lambda j: (f"actual_q_{j}", f"actual_current_as_torque_{j}")),
     ("Timestamp", lambda j: (f"MeasJntPos{j + 1}", f"MeasJntTrq{j + 1}")),
     ("times", lambda j: (f"joint{j + 1}", f"torque{j + 1}")),
     ("time", lambda j: (f"j{j + 1}", f"tau{j + 1}")),
@@ -515,6 +516,8 @@ def test_a_controllers_reference_is_the_command_and_its_wrench_is_read(tmp_path:
     read = Recording.read(bag(tmp_path / "led", [*arm(), *map(loop, range(ROWS)), *map(force, range(0, ROWS, 3))]))
     np.testing.assert_allclose(read.joints("q_c"), Q + 0.01)
     np.testing.assert_array_equal(np.flatnonzero(np.isfinite(read.columns["fx"])), np.arange(0, ROWS, 3))
+    assert {"q_c_i from /arm/state", "fx to mz from /ft"} == set(
+        read.meta["reading"][0].removeprefix("beside: ").split(", "))
     alone = Recording.read(bag(tmp_path / "alone", [loop(k) for k in range(ROWS)]))
     np.testing.assert_allclose(alone.joints("q"), Q[:, ::-1])
     assert alone.meta["joints"] == NAMES[::-1]
