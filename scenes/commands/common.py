@@ -217,7 +217,11 @@ def recording_of(path: Path, columns: Path | None, topic: str | None, joints: st
 
 def reading_options(columns: Path | None, topic: str | None, joints: str | None, drive_data: Path | None = None
                     ) -> tuple[str, ...]:
-    """The words of the options by which a recording is read, for the command that comes next."""
+    """The words of the options by which a recording is read, for the command that comes next.
+
+    Args:
+        columns, topic, joints, drive_data: as typed; None where they were not given.
+    """
     given = {"--columns": columns, "--topic": topic, "--joints": joints, "--drive-data": drive_data}
     return tuple(word for option, value in given.items() if value is not None for word in (option, str(value)))
 
