@@ -17,6 +17,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress, silent
 from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time, plain
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.clean import taken_apart
 from ideal_robot.signals.plausible import only_numbers, plausible, require_joint_units
 from ideal_robot.signals.recording import Recording, expect, recordings_of
 
@@ -125,7 +126,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     if recording.n != n:
         raise InputError(f"the recording has {recording.n} joints, the robot {robot.name} has {n}; choose "
                          "with --joints which are the arm's", file=source, field="q_i")
-    recording = with_commands(recording)
+    recording, apart = taken_apart(with_commands(recording), robot)
     names = [[f"{kind}_{i + 1}" for i in range(n)] for kind in ("q", "q_c")]
     recording, warnings = plausible(recording, names[0], [], robot.tau_max)
     recording, more = only_numbers(recording, names[1])
@@ -139,4 +140,4 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
         cut = f", or cut this one at t = {rest:.3f} s, where all joints rest" if rest is not None else ""
         raise InputError("the log starts in motion, and what its controller remembers of the time before is not in "
                          f"it; begin logging before the arm moves{cut}", file=source, field=f"q_{j + 1}")
-    return recording, [*warnings, *more]
+    return recording, [*apart, *warnings, *more]

@@ -85,6 +85,8 @@ class Robot(Summarised):
         tau_max: joint-side motor torque limit ``(n,)`` [N m]; inf where unknown.
         t_ipo, t_position, t_velocity: cycle times of interpolation, position and velocity loop [s].
         home: a posture for demos ``(n,)``.
+        counted: the controller's joint angles, in logs and on its pendant, are this times the URDF's ``(n, n)``; those
+            of an arm whose rods or whose controller couple joints are not the URDF's.
         data: everything in the data file, for what only some readers need.
         description: the URDF's text as it is used: of its joints the arm's move, the others are held.
         assumed: what the URDF does not say, or cannot mean, and what was taken instead, in words.
@@ -106,6 +108,7 @@ class Robot(Summarised):
     t_position: float
     t_velocity: float
     home: Array
+    counted: Array
     data: dict[str, Any] = field(repr=False, compare=False)
     description: str = field(repr=False, compare=False, default="")
     assumed: tuple[str, ...] = field(repr=False, compare=False, default=())
@@ -210,6 +213,7 @@ class Robot(Summarised):
             tau_max=_frozen(np.where(model.effortLimit > 0, model.effortLimit, np.inf)),
             **{key: float(getattr(drive.controller, key)) for key in ("t_ipo", "t_position", "t_velocity")},
             home=home,
+            counted=_frozen(drive.counted(model.nv, data_path)),
             data=values,
             description=description,
             assumed=(*arm.changed, *converted),

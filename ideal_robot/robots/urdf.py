@@ -218,6 +218,14 @@ class Controller(_Table):
     t_velocity: Cycle = 0.0005
 
 
+class Coupled(_Table):
+    """A joint that the controller counts with a share of another one, joints from 1."""
+
+    joint: Annotated[int, pydantic.Field(strict=True, ge=1)]
+    by: Annotated[int, pydantic.Field(strict=True, ge=1)]
+    share: Annotated[float, pydantic.Field(strict=True, ge=-100.0, le=100.0)]
+
+
 class DriveData(_Table):
     """What a URDF lacks; every key may be missing."""
 
@@ -225,6 +233,29 @@ class DriveData(_Table):
     tool_frame: Text | None = None
     joints: Joints = Joints()
     controller: Controller = Controller()
+    coupled: list[Coupled] = []
+
+    def counted(self, n: int, file: Path | None) -> Array:
+        """The matrix ``(n, n)`` by which the controller's joint angles are those of the URDF.
+
+        Raises InputError for a joint that the arm does not have, or that is coupled to itself.
+
+        Args:
+            n, file: the number of joints, and for the message.
+        """
+        matrix = np.eye(n)
+        for i, entry in enumerate(self.coupled):
+            for key, joint in (("joint", entry.joint), ("by", entry.by)):
+                if joint > n:
+                    raise InputError(f"the arm has {n} joints", file=file, field=f"coupled.{i}.{key}", value=joint)
+            if entry.joint == entry.by:
+                raise InputError("expected another joint than its own", file=file, field=f"coupled.{i}.by",
+                                 value=entry.by)
+            matrix[entry.joint - 1, entry.by - 1] += entry.share
+        if abs(np.linalg.det(matrix)) < 1e-6:
+            raise InputError("the controller's angles do not say the joints': check the shares", file=file,
+                             field="coupled")
+        return matrix
 
     def per_joint(self, key: str, n: int, file: Path | None) -> Array:
         """The value of a key of ``[joints]`` for every joint ``(n,)``; raises InputError for a list of another length.

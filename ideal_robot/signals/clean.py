@@ -1,7 +1,8 @@
 """From a recording as it was read to one that a regression can use: a single pass, every act of which is said once.
 
-In order: names and units (the robot's joints, their torques), time (numbers, stamps, the instants of sampling), joints
-(angles that wrap, brakes, channels that measure nothing), spikes. Identification, diagnosis and ``inspect`` begin here.
+In order: names and units (the robot's joints, coupled ones apart, their torques), time (numbers, stamps, the instants
+of sampling), joints (angles that wrap, brakes, channels that measure nothing), spikes. Identification, diagnosis and
+``inspect`` begin here.
 """
 
 from __future__ import annotations
@@ -76,6 +77,8 @@ def cleaned(recording: Recording, robot: Robot, *, commands: bool = False) -> Cl
         recording, said = _with_torque(recording, robot)
         acts += said
         amperes = bool(said)
+    recording, said = taken_apart(recording, robot)
+    acts += said
     source, n = recording.source, robot.n
     names = range(1, n + 1)
     # Units first, of practically all samples: degrees would look like jumps, and a jump like degrees.
@@ -269,6 +272,30 @@ def unwrapped(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]
                 columns[f"{kind}_{j + 1}"] = led - 2.0 * np.pi * np.round(
                     float(np.median(led - measured)) / (2.0 * np.pi))
     return (replace(recording, columns=columns), acts) if acts else (recording, [])
+
+
+def taken_apart(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
+    """The recording with the URDF's joints where the arm's data say that the controller counts them otherwise.
+
+    Angles q' = C q of a controller do work τ'ᵀ dq' = τᵀ dq, so τ = Cᵀ τ'. What this program has recorded names its
+    robot and is of the URDF's joints.
+
+    Args:
+        recording: its angles may wrap.
+        robot: its ``counted`` is C.
+    """
+    coupled = np.argwhere((robot.counted != 0.0) & ~np.eye(robot.n, dtype=bool))
+    if not len(coupled) or "robot" in recording.meta:
+        return recording, []
+    recording, acts = unwrapped(recording, robot)
+    columns, apart = dict(recording.columns), np.linalg.inv(robot.counted)
+    for kind, matrix in (*((kind, apart) for kind in (*_ANGLES, "qd")), ("tau", robot.counted.T)):
+        if recording.has(kind):
+            values = recording.joints(kind) @ matrix.T
+            columns.update({f"{kind}_{i + 1}": np.ascontiguousarray(values[:, i]) for i in range(robot.n)})
+    pairs = ", ".join(f"joint {i + 1} with {robot.counted[i, j]:+g} of joint {j + 1}" for i, j in coupled)
+    return replace(recording, columns=columns), [
+        *acts, f"coupled: the controller counts {pairs} (table coupled of the robot's data); they are taken apart"]
 
 
 def _without_brakes(recording: Recording) -> tuple[Recording, list[str]]:

@@ -262,10 +262,12 @@ class StreamMotionRobot(LinkedRobot):
 def opened(address: Address, robot: Robot, settings: LinkSettings) -> StreamMotionRobot:
     """The link to the controller at ``fanuc://host:port?rmi=16001&j23=0``, not yet connected; raises InputError.
 
+    Without ``j23`` the arm's data say how joint 3 is counted.
+
     Args:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
     address.knows("rmi", "j23")
     host, port = address.at(PORT)
     return StreamMotionRobot(robot, host, port=port, rmi_port=int(address.number("rmi", RMI_PORT, 1, 65535)),
-                             j23=address.number("j23", 0.0, -1.0, 1.0), **settings.given())
+                             j23=address.number("j23", -float(robot.counted[2, 1]), -1.0, 1.0), **settings.given())
