@@ -173,7 +173,7 @@ class LineResult(ShownRun):
         error = self.control_error
         warned = [("warning", self.warning)] if self.warning else []
         camera = [] if self.hand_eye is None else [
-            ("camera across the travel, as calibrated (± σ)", f"{1e3 * self.hand_eye.across():.3f} mm")]
+            ("camera across the travel, known to", f"± {1e3 * self.hand_eye.across():.3f} mm")]
         return [
             *warned,
             ("speed", f"{self.scene.speed:g} m/s"),
