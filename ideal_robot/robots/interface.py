@@ -427,7 +427,7 @@ class LinkedRobot(ABC):
         self._lost: str | None = None
         self.commanded = self._wanted = self._step = np.full(robot.n, np.nan)
         self.answer_times = array("d")
-        self.gone_on, self.missed = 0, False
+        self.gone_on, self.missed, self._led = 0, False, False
         # Of the commands in force, a cycle; where a controller holds the arm without one there is none.
         self._wire_speed = np.zeros(robot.n)
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
@@ -511,15 +511,20 @@ class LinkedRobot(ABC):
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""
         self.commanded = self._wanted = commanded
-        self._step, self._lost = np.zeros(self.robot.n), None
+        self._step, self._lost, self._led = np.zeros(self.robot.n), None, False
         self._watch.begin(commanded, measured)
 
     def _bridged(self, since: int) -> None:
         """Counts packets that were lost before this one; raises ``lost_link`` where they are more than are tolerated.
 
+        Until the first command the controller holds the arm where it stands, however long that takes.
+
         Args:
             since: cycles since the packet before; 1 where none was lost.
         """
+        if not self._led:
+            self._led = True
+            return
         if since - 1 > self.max_lost:
             raise self.lost_link(f"{since - 1} {self.packets} in a row were lost, more than {self.max_lost}; check "
                                  "network and load")

@@ -6,6 +6,7 @@ import importlib.util
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -68,6 +69,15 @@ def follow(link: EgmRobot, cycles: int, between: Callable[[int], None] = lambda 
         between(k)
         states.append(link.cycle(way(k)))
     return states
+
+
+def test_what_is_loaded_before_the_first_command_costs_nothing() -> None:
+    """In true time: the controller holds the arm meanwhile, longer than messages may be lost later."""
+    with led(timeout=None) as (link, _, _):
+        time.sleep((link.max_lost + 30) * T)
+        link.cycle(ROBOT.home)
+        assert link.counts.lost == 0
+        assert link.settled
 
 
 def test_commands_arrive_as_they_were_sent_and_time_is_the_controllers() -> None:
