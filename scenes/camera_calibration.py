@@ -14,8 +14,10 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
+from planning.path.joint_path import JointPath
+from planning.path.joints_beside import JointsBeside
 from planning.path.kinematics import InverseKinematics
-from scenes.line_way import calibration_postures, shapes_about
+from scenes.line_way import calibration_postures, middle_of_view, shapes_about
 from scenes.online.known import Known
 from scenes.online.line_known import REST, CalibrationView, SeenBefore, piece_map, view_of
 from scenes.online.live_arm import moves
@@ -57,12 +59,14 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     robot, reference, believed = known.robot, known.reference, known.camera
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
     fusion, detection = piece_map(reference, at, before), before.detection
-    postures = calibration_postures(robot, reference, believed, at, known.clear, shapes_about(known.scene, robot),
+    path = JointPath.of(robot, reference)
+    postures = calibration_postures(robot, reference, path, believed, at, known.clear, shapes_about(known.scene, robot),
                                     line=line_ahead(reference, fusion, np.array([at])))
     commands = held(moves(robot, postures, REST), before=max(round(REST / T), 1) - 1)
     arm.reset(commands[0])
     camera.restart()
-    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion, at)
+    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion,
+                           JointsBeside(robot, path, at, float(middle_of_view(believed)[0])))
     shape = ArmShape(robot) if camera.lamp is not None else None
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
     late, due, fields, moved = list[tuple[Field, PredictedLine]](), 0, 0, [] if moved is None else moved

@@ -186,8 +186,9 @@ def middle_of_view(camera: CameraModel) -> Array:
     return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
 
 
-def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
-                         shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
+def calibration_postures(robot: Robot, reference: ReferencePath, path: JointPath, camera: CameraModel, at: float,
+                         clear: float = 0.0, shapes: Shapes | None = None, line: LineAhead | None = None
+                         ) -> list[Array]:
     """Joint angles of the poses that the arm reaches, on a way that touches nothing.
 
     An arm whose joints are not where its URDF has them carries the tool elsewhere than its angles say, and in each
@@ -197,7 +198,7 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
 
     Args:
         robot: the arm.
-        reference: the reference path.
+        reference, path: the reference path, and the joint path by which it is followed.
         camera: as mounted by hand.
         at: arc length of the reference around which the piece lies [m].
         clear: how far the tip keeps away from the reference at least [m].
@@ -206,10 +207,8 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
 
     Raises:
         SceneError: fewer than half of the poses can be reached.
-        InputError: the reference cannot be followed.
     """
     frames, kinematics = reference.frames(np.array([at])), InverseKinematics(robot)
-    path = JointPath.of(robot, reference)
     followed, up = path.q[np.argmin(np.abs(path.s - at))], frames.up[0]
     place, direction = ((frames.position[0], frames.tangent[0]) if line is None
                         else (line.points[0], line.tangents[0]))
@@ -235,7 +234,7 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
 CARRIED = 0.1
 """Between two poses on the way from one posture to another [rad, and as many metres]: Newton's method keeps to one
 arrangement of the joints there."""
-DRAWN = 0.3
+DRAWN_ALONG = 0.3
 """Share of the way to the posture wanted that more than six joints are drawn with each of them."""
 
 
@@ -253,5 +252,5 @@ def _carried(kinematics: InverseKinematics, q: Array, pose: pin.SE3) -> Array:
     for share in np.arange(1, steps + 1) / steps:
         # Drawn there step by step, as on a path: at once, Newton's method overshoots.
         angles = kinematics.solve(begin * pin.exp6(share * whole), angles,
-                                  wanted=angles + DRAWN * (q + share * (wanted - q) - angles))
+                                  wanted=angles + DRAWN_ALONG * (q + share * (wanted - q) - angles))
     return angles

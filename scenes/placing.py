@@ -16,6 +16,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.size import mean_height, reach, shoulder_height
 from planning import OutOfReachError
+from planning.path.joint_path import JointPath
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from scenes.line_way import calibration_postures, line_way, shapes_about
@@ -139,8 +140,9 @@ def calibrates(scene: LineScene, robot: Robot) -> bool:
     """Whether the arm reaches the poses that calibrate the camera over the middle of the line."""
     reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
     try:
-        calibration_postures(robot, reference, believed_camera(scene.camera, scene.calibration),
-                             0.5 * reference.length, shapes=shapes_about(scene, robot))
+        calibration_postures(robot, reference, JointPath.of(robot, reference),
+                             believed_camera(scene.camera, scene.calibration), 0.5 * reference.length,
+                             shapes=shapes_about(scene, robot))
     except (SceneError, OutOfReachError):
         return False
     return True

@@ -5,7 +5,6 @@ In lockstep with the simulated cell, so that the tables are the same every time.
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 import time
@@ -24,7 +23,7 @@ from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.link_faults import FAULTS as LINKS
 from studies.link_faults import play_link
-from studies.report import head, marked_page, row, scene_of, write_tables
+from studies.report import head, keep, marked_page, plays_in, row, scene_of, write_tables
 from tests.scenes.follow.eye_on_bench import black, frozen, held, mirrored, shaken, shifted
 from tests.scenes.follow.eye_on_bench import followed as followed_by_eye
 from tests.scenes.follow.on_bench import FAULTS, STAGES, followed
@@ -75,8 +74,7 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
         lines: see above.
         write: see above.
     """
-    kept = {} if lines is None or not lines.is_file() else {
-        tuple(cell["of"]): cell for cell in map(json.loads, lines.open(encoding="utf-8"))}
+    kept = {tuple(cell["of"]): cell for cell in plays_in(lines)}
     begun = time.monotonic()
     if write:
         for name in tables.split(","):
@@ -89,9 +87,7 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
             text, beyond = play()
             kept[name, fault, column] = cell = {"of": [name, fault, column], "text": text, "beyond": beyond}
             print(f"{name}, {fault}, {column}: {text}", file=sys.stderr, flush=True)
-            if lines is not None:
-                with lines.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(cell) + "\n")
+            keep(lines, cell)
     for name in tables.split(","):
         print(text := _table(name, kept), end="\n\n")
         if write:

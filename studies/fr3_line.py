@@ -19,6 +19,7 @@ import numpy as np
 import typer
 
 from ideal_robot.errors import IdealRobotError, InputError
+from scenes.commands.common import whole_numbers
 from scenes.line.cell import set_up
 from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
@@ -89,11 +90,10 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
     env["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
     if not (folder / "model.json").is_file():
         _identified(folder)
-    first, _, last = seeds.partition("-")
     head("speed [m/s]", "seed", "mean [mm]", "95 % below", "largest", "cycles lost", "pictures left out",
          "remark")
     means: dict[float, list[float]] = {}
-    for speed, seed in product(map(float, speeds.split(",")), range(int(first), int(last or first) + 1)):
+    for speed, seed in product(map(float, speeds.split(",")), whole_numbers(seeds, "--seeds")):
         figures = _figures(folder, env, speed, seed, rate)
         error = figures["control_error_mm"] or {}
         means.setdefault(speed, []).append(error.get("mean") or np.nan)

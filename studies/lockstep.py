@@ -5,7 +5,6 @@ Nothing is faulty here: whatever is stopped is a false alarm of the guard or of 
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections import defaultdict
@@ -17,6 +16,7 @@ import numpy as np
 
 from ideal_robot.errors import IdealRobotError
 from planning.force.contact import most_force
+from scenes.commands.common import whole_numbers
 from scenes.force.kind import run as run_force
 from scenes.line.cell import prepared
 from scenes.line.kind import run as run_line
@@ -26,7 +26,7 @@ from scenes.scene_file import load_scene
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene
-from studies.report import head, row
+from studies.report import head, keep, plays_in, row
 from tests.scenes.follow.eye_on_bench import followed as followed_by_eye
 from tests.scenes.follow.on_bench import followed
 from tests.scenes.play.on_bench import played
@@ -40,16 +40,13 @@ def lockstep(scenes: str = "line,force_wave,glue,contour", seeds: str = "1-50", 
     that the file holds are not repeated. Exit code 1 where fewer than 49 of 50 are done, or a surface bears more than
     is allowed, or more than nothing at rest.
     """
-    first, _, last = seeds.partition("-")
-    kept = [] if lines is None or not lines.is_file() else [json.loads(line) for line in lines.open(encoding="utf-8")]
-    for seed, name in product(range(int(first), int(last or first) + 1), scenes.split(",")):
+    kept = plays_in(lines)
+    for seed, name in product(whole_numbers(seeds, "--seeds"), scenes.split(",")):
         if any(play["scene"] == name and play["seed"] == seed for play in kept):
             continue
         kept.append(play := _play(name, seed))
         print(play, file=sys.stderr, flush=True)
-        if lines is not None:
-            with lines.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(play) + "\n")
+        keep(lines, play)
     unfit = False
     head("scene", "seeds", "done", "largest force [N]", "left at rest [N]", "rms of the force error [N]: median, worst",
          "over the simulated run's", "beside the line, 95 % below [mm]: median, worst", "over the simulated run's",

@@ -23,11 +23,12 @@ import numpy as np
 import typer
 
 from scenes import run_scene
+from scenes.commands.common import whole_numbers
 from scenes.online.processes import memory_together
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
-from studies.report import head, row, scene_of
+from studies.report import head, keep, plays_in, row, scene_of
 from tests.scenes.follow.pair import Cell, children, served
 from tests.sources import ROOT
 
@@ -159,9 +160,7 @@ def _measured(key: str, runs: int, camera: Path | None, folder: Path,
             (folder / "truth.json").unlink(missing_ok=True)
             for session in range(1, runs - len(results) + 1):
                 results.append(_played(cell, scene, options, session))
-                if lines is not None:
-                    with lines.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps({"case": key, "in_process": own, **results[-1]}) + "\n")
+                keep(lines, {"case": key, "in_process": own, **results[-1]})
                 if results[-1]["code"] == -1:
                     # Whatever it is that hangs, the next run begins with a fresh cell.
                     break
@@ -195,11 +194,10 @@ def wires(scenes: str = "line", seeds: str = "1-10", offsets: str = "", stiffnes
     [N/mm]; empty: as the scene has it. Plays that the file of --lines holds are not repeated. Exit code 1 where one is
     not done.
     """
-    first, _, last = seeds.partition("-")
-    played = [] if lines is None or not lines.is_file() else [json.loads(line) for line in lines.open(encoding="utf-8")]
+    played = plays_in(lines)
     tips = list(product(offsets.split(","), stiffnesses.split(",")))
     table = defaultdict(list)
-    for scene, seed in product(scenes.split(","), range(int(first), int(last or first) + 1)):
+    for scene, seed in product(scenes.split(","), whole_numbers(seeds, "--seeds")):
         for offset, stiffness in tips:
             of = [scene, offset, stiffness, seed]
             run = next((run for run in played if run["of"] == of), None)
@@ -208,9 +206,7 @@ def wires(scenes: str = "line", seeds: str = "1-10", offsets: str = "", stiffnes
                 with tempfile.TemporaryDirectory(prefix="follow_wires_") as folder:
                     run = {"of": of, "load": load, **_one(scene, seed, offset, stiffness, Path(folder))}
                 print(run, file=sys.stderr, flush=True)
-                if lines is not None:
-                    with lines.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(run) + "\n")
+                keep(lines, run)
             table[scene, offset, stiffness].append(run)
     head("scene", "surface off by [mm]", "tip [N/mm]", "seeds", "done", "largest force [N]",
          "error [mm or N]: median, worst", "late %, worst", "acceleration / allowed", "load")

@@ -53,10 +53,22 @@ def resident(process: int | str = "self") -> float:
     return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+def plays_in(lines: Path | None) -> list[dict[str, Any]]:
+    """Plays that a file of JSON lines holds, each as it was kept; none without the file."""
+    return [] if lines is None or not lines.is_file() else list(
+        map(json.loads, lines.read_text(encoding="utf-8").splitlines()))
+
+
+def keep(lines: Path | None, play: dict[str, Any]) -> None:
+    """Adds a play that has ended as a line of the file, where there is to be one."""
+    if lines is not None:
+        with lines.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(play) + "\n")
+
+
 def kept(lines: Path, seeds: Sequence[int], play: Callable[[int], Any]) -> list[Any]:
     """What was played of seeds: lines of a file where it has them, else played and added; refused ones are said."""
-    texts = lines.read_text(encoding="utf-8").splitlines() if lines.is_file() else []
-    done = {values["seed"]: values["scores"] for values in map(json.loads, texts)}
+    done = {values["seed"]: values["scores"] for values in plays_in(lines)}
     for seed in seeds:
         if seed in done:
             continue
@@ -65,8 +77,7 @@ def kept(lines: Path, seeds: Sequence[int], play: Callable[[int], Any]) -> list[
         except (RuntimeError, IdealRobotError) as error:
             print(f"{seed}: {error}", flush=True)
             continue
-        with lines.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"seed": seed, "scores": done[seed]}) + "\n")
+        keep(lines, {"seed": seed, "scores": done[seed]})
     return [done[seed] for seed in seeds if seed in done]
 
 

@@ -104,7 +104,7 @@ class FciRobot(LinkedRobot):
         """
         import pylibfranka
 
-        self._library, deadline = pylibfranka, Deadline.within(patience)
+        self._library, deadline, self._stopped = pylibfranka, Deadline.within(patience), False
         while self._franka is None:
             try:
                 self._franka = pylibfranka.Robot(self.host, pylibfranka.RealtimeConfig.kIgnore)

@@ -21,9 +21,11 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
+from planning.path.joint_path import JointPath
+from planning.path.joints_beside import JointsBeside
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.line_way import calibration_postures
+from scenes.line_way import calibration_postures, middle_of_view
 from scenes.online.line_known import FINE, REST, CalibrationView, piece_map
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera
@@ -92,14 +94,16 @@ class CalibrationMotion:
             SceneError: too few of the poses can be reached, or the arm would touch something.
         """
         reference, start, at = piece.reference, piece.start, piece.at
-        postures = calibration_postures(robot, reference, by_hand, at, piece.clear, piece.shapes)
+        path = JointPath.of(robot, reference)
+        postures = calibration_postures(robot, reference, path, by_hand, at, piece.clear, piece.shapes)
         for end in (postures[0], postures[-1]):
             if piece.shapes is not None and (touch := piece.shapes.touch_between(start, end)) is not None:
                 raise SceneError(f"the camera cannot be calibrated: {touch} between the start and the calibration's "
                                  "poses; set calibration.by_moving = false")
         out, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
+        beside = JointsBeside(robot, path, at, float(middle_of_view(by_hand)[0]))
         imagined, view = (CalibrationView(robot, reference, by_hand, detection, FoundBefore(), start,
-                                          piece_map(reference, at), at) for _ in range(2))
+                                          piece_map(reference, at), beside) for _ in range(2))
         imagined.history.add(robot.t_ipo, start)
         camera, t = ImaginedCamera(), 0.5 * robot.t_ipo
         camera.predict = imagined.predicted

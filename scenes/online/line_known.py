@@ -17,7 +17,6 @@ from planning.line.deviation_model import COPIED, SHAPES, Expected, PathDeviatio
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower, line_ahead
 from planning.line.measurement import Measurement
-from planning.path.joint_path import JointPath
 from planning.path.joints_beside import JointsBeside
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
@@ -271,17 +270,15 @@ class CalibrationView:
         detector: what finds its points.
         q: where the arm rests at first ``(n,)`` [rad].
         fusion: the map, see ``piece_map``.
-        at: arc length about which the camera is calibrated [m]; None where it is only looked through.
+        beside: what the arm's joints may do to a calibration; None where the camera is only looked through.
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
-                 detector: LineDetector, q: Array, fusion: DeviationFilter, at: float | None = None) -> None:
+                 detector: LineDetector, q: Array, fusion: DeviationFilter, beside: JointsBeside | None = None) -> None:
         self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
         self.history = PoseHistory(robot)
         self.history.add(0.0, q)
-        self.observations, self._map = list[Observation](), fusion
-        self._beside = None if at is None else JointsBeside(robot, JointPath.of(robot, reference), at,
-                                                            float(middle_of_view(believed)[0]))
+        self.observations, self._map, self._beside = list[Observation](), fusion, beside
 
     def predicted(self, t: float) -> PredictedLine:
         """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""

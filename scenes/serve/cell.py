@@ -168,7 +168,7 @@ def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[t
     cell: LineCell | ForceCell = set_up_line(scene) if isinstance(scene, LineScene) else set_up_force(scene)
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence([scene.seed, 1]).spawn(4)]
     start = cell.known.follower.q_start if isinstance(cell, LineCell) else cell.known.q_start()
-    _warm_up(cell, start)
+    _loaded(cell, start)
     with ExitStack() as stack:
         arm = stack.enter_context(SimulatedArm(cell.known.robot, cell.world, cell.noise, start))
         outbox = Outbox(unkind, streams[0])
@@ -204,7 +204,7 @@ def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[t
         yield served, served_arm
 
 
-def _warm_up(cell: LineCell | ForceCell, start: Array) -> None:
+def _loaded(cell: LineCell | ForceCell, start: Array) -> None:
     """Moves an arm for a cycle that is thrown away: a controller that compiles its code is silent to its follower."""
     with SimulatedArm(cell.known.robot, cell.world, np.random.default_rng(0), start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(cell.known.scene.tip)) if isinstance(cell, ForceCell) else None

@@ -64,7 +64,7 @@ BENT = PRIOR | {BEND: 0.5}
 4 mm over 0.1 m that is taken for even is found as distance, focal length and lens."""
 
 
-DRAWN = (3e-4, 5e-4)
+UNCALIBRATED = (3e-4, 5e-4)
 """Standard deviations of the places of an arm's joints [m] and of their turns [rad], in each direction: together they
 put the tool of an arm as delivered a millimetre beside where its angles say."""
 
@@ -363,7 +363,7 @@ class _Problem:
             change = np.linalg.solve(A, gradient)[:n]
             values, moves = values - scale * change, float(np.max(np.abs(change)))
         spread = max(1.0, float(np.sqrt(np.mean(used**2))))
-        drawn = np.tile(np.repeat(DRAWN, 3), self.carried.shape[2] // 6)
+        drawn = np.tile(np.repeat(UNCALIBRATED, 3), self.carried.shape[2] // 6)
         considered = np.linalg.solve(A, J.T @ (np.einsum("ij,ijk->ik", across, self._carried(met)) * drawn))[:n]
         covariance = np.linalg.inv(A)[:n, :n] * spread**2 + considered @ considered.T
         covariance *= np.outer(scale, scale)

@@ -16,6 +16,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace, clear_of_obstacles
 from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
+from planning.path.joint_path import JointPath
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
 from scenes.force.cell import friction_shown
@@ -310,14 +311,15 @@ def test_a_line_whose_wrist_would_hit_a_box_is_refused_and_one_beside_it_is_not(
 
 def test_poses_of_the_calibration_keep_off_a_box_also_on_their_way() -> None:
     cell = set_up(line(**BESIDE)).known
-    free = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7)
+    path = JointPath.of(cell.robot, cell.reference)
+    free = calibration_postures(cell.robot, cell.reference, path, cell.camera, 0.7)
     data = cell.robot.pinocchio.createData()
     wrists = np.array([pin.forwardKinematics(cell.robot.pinocchio, data, q) or data.oMi[4].translation.copy()
                        for q in free])
     outermost = wrists[np.argmax(wrists[:, 1])]
     standing = Obstacle("box 1", pin.SE3(np.eye(3), outermost + np.array([0.0, 0.2, 0.0])), (0.3, 0.3, 0.3))
     shapes = Shapes(cell.robot, boxes=[standing])
-    clear = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7, shapes=shapes)
+    clear = calibration_postures(cell.robot, cell.reference, path, cell.camera, 0.7, shapes=shapes)
     assert len(free) // 2 <= len(clear) < len(free)
     assert shapes.first_touch(np.array(clear)) is None
     assert all(shapes.touch_between(posture, other) is None for posture, other in pairwise(clear))
@@ -342,7 +344,8 @@ def test_paths_and_forces_are_checked_as_lines_are() -> None:
 def test_no_pose_of_a_shipped_calibration_is_given_up(name: str) -> None:
     scene = scene_of(LineScene, name)
     known = set_up(scene).known
-    free, clear = (calibration_postures(known.robot, known.reference, known.camera, 0.7, shapes=shapes)
+    path = JointPath.of(known.robot, known.reference)
+    free, clear = (calibration_postures(known.robot, known.reference, path, known.camera, 0.7, shapes=shapes)
                    for shapes in (None, shapes_about(scene, known.robot)))
     np.testing.assert_array_equal(free, clear)
 

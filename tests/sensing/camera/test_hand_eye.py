@@ -17,8 +17,18 @@ from planning.path.joints_beside import JointsBeside
 from planning.path.kinematics import InverseKinematics
 from sensing import SensingError
 from sensing.camera.camera_model import CalibrationError, CameraModel
-from sensing.camera.hand_eye import BEND, BENT, PRIOR, RISE, TILT, HandEye, Observation, calibrate, calibration_poses
-from sensing.camera.hand_eye import DRAWN as DRAWN_BESIDE
+from sensing.camera.hand_eye import (
+    BEND,
+    BENT,
+    PRIOR,
+    RISE,
+    TILT,
+    UNCALIBRATED,
+    HandEye,
+    Observation,
+    calibrate,
+    calibration_poses,
+)
 from sensing.camera.line_polynomial import Polyline
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -120,7 +130,7 @@ def seen_by_an_arm(true: CameraModel, rng: np.random.Generator, known: bool) -> 
     ``known``: whether it is told how such joints carry the tool.
     """
     robot, data = Robot.load("kr6"), Robot.load("kr6").pinocchio.createData()
-    arm, off = robot.pinocchio.copy(), rng.standard_normal((robot.n, 6)) * np.repeat(DRAWN_BESIDE, 3)
+    arm, off = robot.pinocchio.copy(), rng.standard_normal((robot.n, 6)) * np.repeat(UNCALIBRATED, 3)
     for joint, (place, turn) in enumerate(zip(off[:, :3], off[:, 3:], strict=True), start=1):
         arm.jointPlacements[joint] = pin.SE3(pin.exp3(turn) @ arm.jointPlacements[joint].rotation,
                                              arm.jointPlacements[joint].translation + place)
