@@ -26,7 +26,6 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 GROUPS = {
     "speed and memory": {
         "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "speed",
-        "fusion-cost": "fusion",
     },
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-cell": "arms", "arms-fast": "arms",
@@ -36,11 +35,10 @@ GROUPS = {
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "photographs": "photographs", "real-camera": "photographs",
-        "line-photographs": "line_photographs", "line-weights": "line_photographs",
-        "line-films": "line_photographs",
-        "parts": "parts", "fusion": "fusion", "fusion-banks": "fusion",
+        "line-weights": "line_photographs", "line-films": "line_photographs",
+        "parts": "parts",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
-        "forecast-gains": "force", "forecast-errors": "fusion",
+        "forecast-errors": "force",
         "line-shapes": "line",
         "measured": "measured", "measured-commands": "measured",
         "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",

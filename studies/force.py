@@ -16,13 +16,11 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.feedforward.method import Setting
 from planning.follower import Phase
-from planning.force.contact import ContactSettings
-from planning.force.surface_forecast import LENGTHS, SmoothSurface
+from planning.force.force_follower import surface_filter
 from planning.line.filter_bank import FilterBank
-from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Measurement
 from scenes.commands.common import numbers, whole_numbers
-from scenes.force.cell import Cell, Prepared, set_up
+from scenes.force.cell import Cell, Prepared, set_up, true_surface
 from scenes.force.kind import run
 from scenes.force.play import ForceResult, methods, play, pressed
 from scenes.methods import DIRECT, IDEAL, method_of
@@ -107,29 +105,31 @@ def force_parts(stiffness: str = "10,20,50", seed: int = 1, told: bool = False) 
         row(f"{k:g} N/mm", *cells)
 
 
-ANSWERED = 0.067
-"""From a sample of `force_wave` to the arm's answer: 20 ms of the sensor, half a cycle, and what of a plan still counts
-for the arm, which follows best what was planned 42 ms before [s]."""
+def forecast_errors(speed: float = 0.2, stiffness: str = "2,5,10,20,50", ms: str = "34,41,50,67", seeds: str = "1,2,3"
+                    ) -> None:
+    """RMS in N by which the filter forecasts the surface of `force_wave` wrongly, by stiffness [N/mm] and time ahead.
 
-
-def forecast_gains(speed: float = 0.2, stiffness: float = 20.0, hertz: str = "2,4,6,8,10,12") -> None:
-    """By how much a swing that is taken for surface is larger in the forecast, by length scale and frequency.
-
-    Heights swing by a tenth of the noise of a sample at 250 Hz, on a contact of --stiffness [N/mm].
+    Samples come at 250 Hz with the sensor's noise; the arm is where it should be, and all else is known.
     """
-    noise, times = ContactSettings().noise / (1e3 * stiffness), 0.004 * np.arange(1, 501)
-    head("length scale mm", *(f"{f:g} Hz" for f in numbers(hertz, "--hertz")))
-    for length in LENGTHS:
-        gains = []
-        for f in numbers(hertz, "--hertz"):
-            kalman, forecast = DeviationFilter(SmoothSurface(length)), np.zeros(len(times))
-            for k, t in enumerate(times):
-                z, s = 0.1 * noise * np.sin(2 * np.pi * f * t), np.array([speed * t])
-                kalman.update(Measurement(t, s, np.array([z]), np.array([[noise**2]]), np.array([[0.0, 1.0]]), "force",
-                                          at=float(s[0])))
-                forecast[k] = kalman.mean(s + speed * ANSWERED)[0, 1]
-            gains.append(np.sqrt(2.0) * forecast[len(times) // 2 :].std() / (0.1 * noise))
-        row(f"{1e3 * length:g}", *(f"{gain:.0f}" for gain in gains))
+    scene, ahead = scene_of(ForceScene, "force_wave"), 1e-3 * np.array(numbers(ms, "--ms"))
+    noise, surface = scene.sensor.noise[0], true_surface(scene.surface)
+    t = np.arange(0.0, (scene.line.length or 0.0) / speed, 1.0 / scene.sensor.rate)
+    along = np.array([0.0, 1.0])
+    head("contact", *(f"{1e3 * lead:g} ms" for lead in ahead))
+    for k in numbers(stiffness, "--stiffness"):
+        wrong = []
+        for seed in whole_numbers(seeds, "--seeds"):
+            bank, sigma = surface_filter((1e-6, 1e-6, 1e-6)), noise / (1e3 * k)
+            felt = surface.height(speed * t, 0.0) + sigma * np.random.default_rng(seed).standard_normal(len(t))
+            for instant, z in zip(t, felt, strict=True):
+                s = speed * np.array([instant])
+                bank.update(Measurement(instant, s, np.array([z]), np.array([[sigma**2]]), along[None], "force",
+                                        at=float(s[0])))
+                # Of the first tenth of a second a forecast knows next to nothing.
+                if instant > 0.1:
+                    places = speed * (instant + ahead)
+                    wrong.append(bank.mean(places)[:, 1] - surface.height(places, 0.0))
+        row(f"{k:g} N/mm", *(f"{rms:.2f}" for rms in 1e3 * k * np.sqrt(np.mean(np.square(wrong), axis=0))))
 
 
 class _Watched(Sensor):

