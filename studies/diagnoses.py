@@ -28,7 +28,7 @@ from studies.sensors.force import draw_force_trial
 from studies.sensors.scene import KINDS, draw_line_trial, gantry
 from studies.sensors.tcp import draw_tcp_trial
 from studies.strangers.arm import robot_of
-from studies.strangers.score import SINGLE, Score, detection, power, reliability, report, score
+from studies.strangers.score import SINGLE, Score, details, detection, power, reliability, report, score
 from studies.strangers.trial import POOLS, Trial, draw_trial
 
 GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
@@ -42,15 +42,15 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
     Every recording follows from its seed; the engine goes by turns (mujoco, pybullet, integrator), or is that of
     --engine: one of these or dart, which was left out while the diagnosis was made. The kind is drawn
     (none, inside, new, outside, two, model, arm, known), --sizes are the least and most in multiples of visible. With
-    --lines each score is a line of that file, and seeds that have one are not played again. --write puts the tables
-    into the page. --kind known plays healthy recordings against the model that `identify` makes of another healthy
-    recording.
+    --lines each score is a line of that file, and seeds that have one are not played again. --write puts the first four
+    tables into the page. --kind known plays healthy recordings against the model that `identify` makes of another
+    healthy recording.
     """
     least, most = numbers(sizes, "--sizes")
     play = partial(_play, draw=partial(draw_trial, kind=kind, engine=engine, size=(least, most)))
     scores = [s for s in _scores(whole_numbers(seeds, "--seeds"), lines, play, processes) if kind in (None, s.kind)]
     text = report(scores)
-    print(text, reliability(by_name(scores), "probability by its name"), sep="\n\n")
+    print(text, details(scores), reliability(by_name(scores), "probability by its name"), sep="\n\n")
     if write:
         write_tables("stranger trials", text)
 

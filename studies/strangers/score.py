@@ -333,10 +333,14 @@ def intervals(scores: Sequence[Score]) -> str:
 
 
 def report(scores: Sequence[Score]) -> str:
-    """All tables."""
-    parts = [rates(scores), power(scores), falsehoods(scores), confusion(scores), intervals(scores)]
-    parts += [breakdown(scores, by) for by in ("engine", "motion", "logger", "friction", "gears", "controller")]
-    return "\n\n".join(parts)
+    """The tables that a page publishes: rates, by size, false names, by cause."""
+    return "\n\n".join((rates(scores), power(scores), falsehoods(scores), confusion(scores)))
+
+
+def details(scores: Sequence[Score]) -> str:
+    """Further tables: intervals by parameter, and rates by engine, motion, logger, friction, gears and controller."""
+    by = ("engine", "motion", "logger", "friction", "gears", "controller")
+    return "\n\n".join((intervals(scores), *(breakdown(scores, key) for key in by)))
 
 
 def _large(scores: Iterable[Score]) -> list[Score]:
