@@ -1,4 +1,4 @@
-"""Pages of the documentation site that are made: what a user imports, all modules room by room, the notebooks.
+"""Pages of the documentation site that are made: what a user imports, all modules, keys of scenes, the notebooks.
 
 A hook of MkDocs (``mkdocs.yml``); nothing is written into the source folder. The environment variable ``SITE_ROOMS``
 names the rooms whose API is made, parted by commas; without it all are.
@@ -19,6 +19,7 @@ from nbconvert import MarkdownExporter
 import ideal_robot
 import scenes
 from docs.execute_notebooks import NOTEBOOKS, outputs_of
+from scenes.schema import keys_pages
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -59,6 +60,8 @@ def on_files(files: Files, config: Any) -> Files:
         listed.append(f"- [{room}]({room}.md): {first}")
     content = "\n".join(["# Modules, room by room", "", *listed])
     files.append(File.generated(config, "api/modules/index.md", content=content))
+    for name, text in keys_pages().items():
+        files.append(File.generated(config, name, content=text))
     for file in notebook_files(config):
         files.append(file)
     return files

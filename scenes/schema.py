@@ -12,11 +12,9 @@ import inspect
 import itertools
 import json
 import re
-import sys
 import textwrap
 from collections.abc import Iterable, Iterator
 from functools import cache
-from pathlib import Path
 from typing import Any, get_args
 
 import pydantic
@@ -140,7 +138,7 @@ def commented_scene(name: str, kind: str, example: str) -> str:
 
 
 def keys_pages() -> dict[str, str]:
-    """The pages of all keys, in Markdown: one by kind of scene, one of the world, and one that leads to them."""
+    """Pages of all keys in Markdown, by their place in the documentation: one by kind of scene, one of the world."""
     about = {kind: (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0] for kind in KINDS.names()}
     told: dict[str, str] = {}
     pages = {f"scene_keys/{kind}.md":
@@ -148,13 +146,6 @@ def keys_pages() -> dict[str, str]:
              for kind in sorted(about, key=["line", "path"].__contains__, reverse=True)}
     pages["scene_keys/world.md"] = ("# Keys of the simulated world\n\nThe table `[world]` of every kind of scene. "
                                     f"Defaults are the robot's.\n\n{_tables_of(world_keys(), {}, 'world')}")
-    about["world"] = "What is simulated, in every kind of scene."
-    rows = [f"| [{name}](scene_keys/{name}.md) | {text} |" for name, text in about.items()]
-    pages["scene_keys.md"] = "\n".join([
-        "# Keys of scene files", "",
-        "A scene is a TOML file. `ideal-robot new NAME --kind line` writes one with all keys as comments; "
-        "`ideal-robot list keys --kind line --json FILE` writes a JSON Schema for editors. These pages are generated "
-        "from the program's own checks.", "", "| page | scene |", "| --- | --- |", *rows, ""])
     return pages
 
 
@@ -335,10 +326,3 @@ def _library(interface: ArmInterface) -> str:
     if not interface.package:
         return "own"
     return interface.package if interface.installed else f"pip install 'ideal-robot[{interface.extra}]'"
-
-
-if __name__ == "__main__":
-    for _name, _text in keys_pages().items():
-        _page = Path(sys.argv[1]) / _name
-        _page.parent.mkdir(exist_ok=True)
-        _page.write_text(_text, encoding="utf-8")

@@ -384,7 +384,7 @@ def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:
         raise typer.BadParameter("expected a scene of kind path")
     cell = set_up(played, delay=False)
     changed = sorted({joint for _, joint in undeclared_effects(played, cell.robot.n)})
-    head("friction told", "E_car aligned", "E_max aligned")
+    head("friction known", "E_car aligned", "E_max aligned")
     for name, joints in (("none: the model as it was", []), (f"true in joint {', '.join(map(str, changed))}", changed),
                          ("true in all joints", list(range(1, cell.robot.n + 1)))):
         loop = with_true_friction(cell.loop(), cell.robot, cell.world, joints) if joints else cell.loop()

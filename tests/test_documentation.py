@@ -14,6 +14,7 @@ from typer.main import get_command
 
 from docs.draw_architecture import trees
 from scenes.cli import VERBS, app
+from scenes.schema import keys_pages
 from tests.sources import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -86,7 +87,8 @@ def missing_options(text: str) -> list[str]:
 
 def missing_in(text: str, folder: Path) -> list[str]:
     """Files, dotted names and links of a page that are not there."""
-    missing = [link for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)", text) if not (folder / link).exists()]
+    missing = [link for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)", text)
+               if not (folder / link).exists() and link not in keys_pages()]
     code = re.findall(r"```.*?```", text, flags=re.DOTALL)
     spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
     for span in [*spans, *code]:
