@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 
 from ideal_robot.command.recorded import commands_of, first_rest, moving_at_start, with_commands
 from ideal_robot.errors import InputError
@@ -17,13 +16,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress, silent
 from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time, plain
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.clean import taken_apart
-from ideal_robot.signals.plausible import only_numbers, plausible, require_joint_units
+from ideal_robot.signals.clean import NO_CONTROLLER, cleaned
 from ideal_robot.signals.recording import Recording, expect, recordings_of
-
-_FEWEST, _SHORTEST = 100, 1.0
-"""Samples, and seconds, that a recording has at least."""
-
 
 @dataclass(frozen=True, repr=False)
 class CommandIdentification(Summarised):
@@ -121,23 +115,15 @@ def identify_from_commands(recordings: Recording | Sequence[Recording], robot: R
 
 
 def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
-    """The recording without what is no number or no position, and what was wrong; raises InputError for the rest."""
-    n, source = robot.n, recording.source
-    if recording.n != n:
-        raise InputError(f"the recording has {recording.n} joints, the robot {robot.name} has {n}; choose "
-                         "with --joints which are the arm's", file=source, field="q_i")
-    recording, apart = taken_apart(with_commands(recording), robot)
-    names = [[f"{kind}_{i + 1}" for i in range(n)] for kind in ("q", "q_c")]
-    recording, warnings = plausible(recording, names[0], [], robot.tau_max)
-    recording, more = only_numbers(recording, names[1])
-    if len(recording.t) < _FEWEST or recording.duration < _SHORTEST:
-        raise InputError(f"too short: at least {_SHORTEST:g} s and {_FEWEST} samples are needed", file=source,
-                         field="t", value=len(recording.t))
-    for kind in ("q", "q_c"):
-        require_joint_units(np.quantile(recording.joints(kind), (0.01, 0.99), axis=0), robot, file=source, column=kind)
+    """The recording without what cannot be, and what was wrong; raises InputError for what cannot be mended."""
+    done = cleaned(with_commands(recording), robot, torques=False, commands=True)
+    recording, source = done.recording, done.recording.source
+    if not recording.has("q_c"):
+        why = next((text.partition(": ")[2] for text in done.acts if text.startswith(NO_CONTROLLER)), "no commands")
+        raise InputError(why, file=source, field="q_c_1")
     if (j := moving_at_start(recording.t, recording.joints("q"))) is not None:
         rest = first_rest(recording.t, recording.joints("q"))
         cut = f", or cut this one at t = {rest:.3f} s, where all joints rest" if rest is not None else ""
         raise InputError("the log starts in motion, and what its controller remembers of the time before is not in "
                          f"it; begin logging before the arm moves{cut}", file=source, field=f"q_{j + 1}")
-    return recording, [*apart, *warnings, *more]
+    return recording, list(done.acts)

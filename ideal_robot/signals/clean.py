@@ -38,6 +38,8 @@ _NEARLY_ALL = (0.01, 0.99)
 """Quantiles between which practically all samples lie; spikes lie beyond."""
 _ANGLES = ("q", "q_c", "q_d", "qa")
 """Quantities of joints that wrap where the logger wraps them."""
+NO_CONTROLLER = "no-controller"
+"""Name of the act that commands were left out, of which one joint has none."""
 _MOST_BRAKED = 0.5
 """Share of the samples that brakes may take out, at most; the rest is what identifies."""
 
@@ -47,7 +49,7 @@ class Cleaned:
     """A recording that can be used, and what was done to it.
 
     Attributes:
-        recording: joints in the robot's order, with ``tau_i``, increasing times, no spikes.
+        recording: joints in the robot's order, with ``tau_i`` where torques are used, increasing times, no spikes.
         acts: sentences ``name: what was found and done``, in the order of the pass.
         amperes: whether ``tau_i`` are amperes of joints whose drive gain is not known.
     """
@@ -57,12 +59,13 @@ class Cleaned:
     amperes: bool = False
 
 
-def cleaned(recording: Recording, robot: Robot, *, commands: bool = False) -> Cleaned:
-    """The recording ready for a regression of torques.
+def cleaned(recording: Recording, robot: Robot, *, torques: bool = True, commands: bool = False) -> Cleaned:
+    """The recording ready for a regression of torques or commands.
 
     Args:
         recording: as it was read.
         robot: joints, limits, drive gains.
+        torques: whether torques are used; without them none is asked for.
         commands: whether the commands ``q_c_i``, where there are any, are used too.
 
     Raises:
@@ -73,7 +76,7 @@ def cleaned(recording: Recording, robot: Robot, *, commands: bool = False) -> Cl
     recording, said = _named(recording, robot)
     acts += said
     amperes = False
-    if not recording.has("tau"):
+    if torques and not recording.has("tau"):
         recording, said = _with_torque(recording, robot)
         acts += said
         amperes = bool(said)
@@ -85,36 +88,40 @@ def cleaned(recording: Recording, robot: Robot, *, commands: bool = False) -> Cl
     q = recording.joints("q")
     if np.isfinite(q).all(axis=1).any():
         require_joint_units(np.nanquantile(q, _NEARLY_ALL, axis=0), robot, file=source)
-    recording, said = _measuring(recording)
-    acts += said
-    positions, torques = [f"q_{i}" for i in names], [f"tau_{i}" for i in names]
-    recording, said = only_numbers(recording, ["t", *positions, *torques])
+    positions, measured = [f"q_{i}" for i in names], list[str]()
+    if torques:
+        measured = [f"tau_{i}" for i in names]
+        recording, said = _measuring(recording)
+        acts += said
+    recording, said = only_numbers(recording, ["t", *positions, *measured])
     acts += said
     recording, said = rising_stamps(recording)
     acts += said
     recording, said = unwrapped(recording, robot)
     acts += said
-    recording, said = plausible(recording, positions, torques, robot.tau_max)
+    recording, said = plausible(recording, positions, measured, robot.tau_max)
     acts += said
-    recording, said = _without_brakes(recording)
-    acts += said
+    if torques:
+        recording, said = _without_brakes(recording)
+        acts += said
     t = recording.t
     if len(t) < MINIMUM_SAMPLES or t[-1] - t[0] < MINIMUM_DURATION:
         raise InputError(f"too short: at least {MINIMUM_DURATION:g} s and {MINIMUM_SAMPLES} samples are needed",
                          file=source, field="t",
                          value=f"{len(t)} samples, {t[-1] - t[0]:.3g} s" if len(t) else "0 samples")
-    q, tau = recording.joints("q"), recording.joints("tau")
+    q = recording.joints("q")
     require_joint_units(q, robot, file=source)
     acts += wound_up(q, robot)
     for name in "xyz":
         if name in recording.columns:
             require_metres(recording.columns[name], file=source, column=name)
-    if not np.any(np.abs(tau) > 0):
+    if torques and not recording.joints("tau").any():
         raise InputError("every torque is zero; is this the torque column?", file=source, field="tau_i")
     for j in range(n):
         if np.ptp(q[:, j]) < STILL:
-            acts.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g}; its friction and "
-                        "inertia cannot be identified")
+            unseen = "friction and inertia" if torques else "controller"
+            acts.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g}; its {unseen} cannot be "
+                        "identified")
     recording, spread = at_sampling_instants(recording)
     if spread > 0.0:
         acts.append(f"irregular-sampling: samples were taken {1e3 * spread:.2g} ms (standard deviation) off their "
@@ -330,7 +337,7 @@ def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[
     if missing or empty:
         why = "; ".join([f"{name} is missing" for name in missing] + empty)
         columns = {name: values for name, values in recording.columns.items() if name not in names}
-        return replace(recording, columns=columns), [f"no-controller: {why}; {names[0]} to {names[-1]} are needed"]
+        return replace(recording, columns=columns), [f"{NO_CONTROLLER}: {why}; {names[0]} to {names[-1]} are needed"]
     recording, warnings = only_numbers(recording, names)
     q_c = recording.joints("q_c")
     require_joint_units(np.quantile(q_c, _NEARLY_ALL, axis=0), robot, file=recording.source, column="q_c")

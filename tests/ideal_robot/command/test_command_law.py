@@ -338,6 +338,48 @@ def test_commands_that_tell_nothing_are_refused(tmp_path: Path, how: str, seed: 
     assert "\n" not in str(raised.value)
 
 
+def faulty(recording: Recording, how: str) -> Recording:
+    """The recording as a logger spoils it: what the pass that cleans recordings of torques mends."""
+    columns = {name: np.array(values) for name, values in recording.columns.items()}
+    where = np.random.default_rng(4).integers(500, len(columns["t"]) - 500, 3)
+    if how == "wrapped":
+        # A counter of one turn that begins a little above where the joint rests.
+        columns |= {f"{kind}_{i + 1}": begin + (columns[f"{kind}_{i + 1}"] - begin) % (2 * np.pi)
+                    for kind in ("q", "q_c") for i, begin in enumerate((0.5, -0.3))}
+    elif how == "stamps":
+        columns["t"][where] = columns["t"][where - 1]
+    elif how == "spikes":
+        columns["q_1"][where] += 1.0
+        columns["q_c_2"][where + 1] -= 2.0
+    elif how == "no numbers":
+        columns["q_2"][where], columns["q_c_1"][where + 7] = np.nan, np.nan
+    return Recording(columns)
+
+
+@pytest.mark.parametrize("how", ["wrapped", "stamps", "spikes", "no numbers"])
+def test_commands_and_angles_alone_are_cleaned_as_recordings_with_torques_are(tmp_path: Path, how: str) -> None:
+    arm = dataclasses.replace(robot(tmp_path), q_min=np.full(2, -9.0), q_max=np.full(2, 9.0))
+    recording = recorded(arm, pd, late=0.006, seed=1, torque=False)
+    found = identify_from_commands(faulty(recording, how), arm)
+    assert found.warnings
+    for joint, whole in zip(found.model.command.joints, identified(pd, 1, torque=False).joints, strict=True):
+        assert joint.residual < 2.0 * whole.residual + 1e-5
+        assert joint.shape.late == pytest.approx(whole.shape.late, abs=2e-3)
+
+
+@pytest.mark.parametrize("lacking", ["missing", "no numbers"])
+def test_commands_that_one_joint_lacks_are_named(tmp_path: Path, lacking: str) -> None:
+    arm = robot(tmp_path)
+    columns = dict(recorded(arm, pd, late=0.006, seed=1, torque=False).columns)
+    if lacking == "missing":
+        del columns["q_c_2"]
+    else:
+        columns["q_c_2"] = np.full(len(columns["t"]), np.nan)
+    with pytest.raises(InputError, match="q_c_2") as raised:
+        identify_from_commands(Recording(columns), arm)
+    assert "\n" not in str(raised.value)
+
+
 @pytest.mark.parametrize("cut", [1.5, 3.0, 7.7])
 def test_a_log_that_starts_in_motion_is_refused_with_where_to_cut_it(tmp_path: Path, cut: float) -> None:
     arm = robot(tmp_path)
