@@ -55,6 +55,21 @@ def presliding_state(dry: float, v: float, state: float, step: float, distance: 
 
 
 @jit()
+def slid(direction: Array, steps: Array, distance: Array) -> Array:
+    """Directions of sliding ``(n,)``, -1 to 1, after one more step of all joints: ``presliding_state`` of unit size.
+
+    Args:
+        direction: before the step ``(n,)``.
+        steps: how far the joints go ``(n,)`` [rad].
+        distance: presliding distance ``(n,)`` [rad]; where it is 0, the direction is that of the step.
+    """
+    after = np.empty_like(direction)
+    for i in range(len(after)):
+        after[i] = presliding_state(1.0, np.sign(steps[i]), direction[i], steps[i], distance[i])
+    return after
+
+
+@jit()
 def friction_torque(dry: float, fluid: float, v: float, force: float, step: float, distance: float
                     ) -> tuple[float, float]:
     """Friction torque of a joint and its presliding state after a step [N m]; the equations stand above.

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-
 from ideal_robot.command.recorded import commands_of, first_rest, moving_at_start, with_commands
 from ideal_robot.errors import InputError
 from ideal_robot.identification.command import identify_command
@@ -18,6 +17,7 @@ from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time,
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.clean import NO_CONTROLLER, cleaned
 from ideal_robot.signals.recording import Recording, expect, recordings_of
+
 
 @dataclass(frozen=True, repr=False)
 class CommandIdentification(Summarised):

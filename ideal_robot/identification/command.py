@@ -31,7 +31,6 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import lowpass
@@ -115,9 +114,7 @@ def _with_unseen(stretches: Sequence[Stretch], model: Model, cutoff: float) -> l
         m = s.motion
         assert m.torque is not None
         assert s.used.torque is not None
-        own = sensitivity(model.kinematics, model.base, model.friction, m.q, m.qd, m.qdd,
-                          model.rigid_body(m.q, m.qd, m.qdd))
-        columns.append(lowpass(own, m.dt, cutoff) / noise[:, None])
+        columns.append(lowpass(model.sensitivity(m.q, m.qd, m.qdd), m.dt, cutoff) / noise[:, None])
         left.append((m.torque - s.used.torque) / noise)
     torques = []
     for held_out in range(2):

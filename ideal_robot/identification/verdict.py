@@ -10,7 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.identification.idim import Identification
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import Parameter, joined, sensitivity
+from ideal_robot.model.parametrisation import Parameter, joined
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.clean import STILL
 
@@ -91,8 +91,7 @@ def _uncertain(model: Model, result: Identification, robot: Robot) -> dict[str, 
     low, high = np.clip(robot.q_min, -np.pi, np.pi), np.clip(robot.q_max, -np.pi, np.pi)
     q = low + (high - low) * rng.uniform(size=(_STATES, n))
     qd, qdd = (limit * rng.uniform(-1.0, 1.0, (_STATES, n)) for limit in (speed, acceleration))
-    load = model.rigid_body(q, qd, qdd)
-    columns = sensitivity(model.kinematics, model.base, model.friction, q, qd, qdd, load)
+    columns = model.sensitivity(q, qd, qdd)
     torque = np.sqrt(np.mean(model.inverse_dynamics(q, qd, qdd) ** 2, axis=0))
     kinds = np.array([_kind(name, model) for name in [p.name for p in model.parameters]])
     shares = {}

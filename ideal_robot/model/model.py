@@ -14,6 +14,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.command.law import CommandLaw
 from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameters, with_link_parameters
+from ideal_robot.dynamics.base_parameters import full_regressor
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, gravity_across, inverse_dynamics
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
@@ -22,7 +23,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.described_arm import DescribedArm, Gears
 from ideal_robot.model.model_file import SCHEMA, read_values, require_consistent, urdf_with_inertials, write_values
-from ideal_robot.model.parametrisation import ControllerModel, Parameter, Prediction, described, sensitivity
+from ideal_robot.model.parametrisation import ControllerModel, Parameter, Prediction, described, friction_sensitivity
 from ideal_robot.results import Summarised, plain
 from ideal_robot.robots.robot import Robot, joint_units, unit_in_amperes
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
@@ -227,10 +228,21 @@ class Model(Summarised):
         signals = even.filtered(used.get("cutoff"), used.get("cutoff_decimation"))
         # The spread of the parameters needs no filtering: it is taken at the decimated instants.
         q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
-        columns = sensitivity(self.kinematics, self.base, self.friction, q, qd, qdd, self.rigid_body(q, qd, qdd))
+        columns = self.sensitivity(q, qd, qdd)
         of_parameters = np.einsum("knp,pr,knr->kn", columns, self.covariance, columns, optimize=True)
         std = np.sqrt(np.maximum(of_parameters, 0.0) + self.noise_std**2)
         return Prediction(signals.t_decimated, self._decimated_torque(signals), std, signals.decimate(signals.tau))
+
+    def sensitivity(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Derivative of the torque with respect to the parameter vector, ``(N, n, P)``; effects are left out.
+
+        In the linear parameters this is the regressor. The load, where a friction law looks at it, is taken as given.
+
+        Args:
+            q, qd, qdd: positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²], consecutive in time.
+        """
+        bodies = full_regressor(self.kinematics, q, qd, qdd, self.base.independent)
+        return np.concatenate([bodies, friction_sensitivity(self.friction, q, qd, self.rigid_body(q, qd, qdd))], axis=2)
 
     @classmethod
     def nominal(cls, robot: Robot) -> Model:

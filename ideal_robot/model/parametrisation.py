@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.base_parameters import BaseParameters, full_regressor
+from ideal_robot.dynamics.base_parameters import BaseParameters
 from ideal_robot.friction import FrictionModel, PerJointFriction
 from ideal_robot.results import Summarised, listed
 from ideal_robot.robots.robot import joint_units
@@ -86,24 +86,14 @@ def described(base: BaseParameters, base_values: Array, friction: PerJointFricti
                  for (name, joint, unit, meaning), value, s in zip(rows, values, std, strict=True))
 
 
-def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFriction, q: Array, qd: Array, qdd: Array,
-                load: Array | None = None) -> Array:
-    """Derivative of the torque with respect to the parameter vector, ``(N, n, P)``.
-
-    In the linear parameters this is the regressor. The load, where a friction law looks at it, counts as given. The
-    samples are consecutive in time, for the laws with memory.
+def friction_sensitivity(friction: PerJointFriction, q: Array, qd: Array, load: Array | None = None) -> Array:
+    """Derivative of friction torques with respect to the laws' coefficients and shapes, ``(N, n, p)``.
 
     Args:
-        model, base, friction: kinematics, base parameters of the rigid body, laws of all joints.
-        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
-        load: torque that the gears transmit ``(N, n)`` [N m].
+        friction: laws of all joints.
+        q, qd: joint positions and velocities ``(N, n)`` [rad, rad/s], consecutive in time, for the laws with memory.
+        load: torque that the gears transmit ``(N, n)`` [N m]; it is taken as given.
     """
-    return np.concatenate([full_regressor(model, q, qd, qdd, base.independent),
-                           friction_sensitivity(friction, q, qd, load)], axis=2)
-
-
-def friction_sensitivity(friction: PerJointFriction, q: Array, qd: Array, load: Array | None = None) -> Array:
-    """See ``sensitivity``. The part that belongs to friction ``(N, n, p)``."""
     n, blocks = q.shape[1], []
     for columns in (coefficient_columns, shape_columns):
         for j, law in enumerate(friction.laws):

@@ -19,6 +19,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
+from ideal_robot.friction.presliding import slid
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -44,11 +45,6 @@ _SMALL = 1e-3
 """Way of the tip from which the ways of the joints are taken [m]."""
 _QUIET = 1e-3
 """Least scatter of a torque, of a motor without noise [N m]."""
-
-
-def presliding_distance(model: Model) -> Array:
-    """Presliding distance of each joint ``(n,)`` [rad]; friction without presliding turns at once."""
-    return np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in model.friction.laws])
 
 
 def settle_and_air(way: float, pace: float) -> tuple[float, float]:
@@ -89,7 +85,7 @@ class FeltByMotors:
         self._air, self._in_air, self._air_cycles = 0.0, 0, round(air / self._T)
         self._cycles, self._changes, self._before = 0, list[float](), np.nan
         # Slower than it was identified dry friction may be anything.
-        self.gain = GainByMotors(model.noise_std + model.friction.dry, presliding_distance(model),
+        self.gain = GainByMotors(model.noise_std + model.friction.dry, model.friction.distance,
                                  block_cycles(self._T, settle))
         self._slid: Array = np.zeros(robot.n)
         self._last: Array | None = None
@@ -213,7 +209,7 @@ class Hearing:
         self._T, self._force = robot.t_ipo, force
         self._loud = (kinematics.torque(q, direction) / np.maximum(scatter, _QUIET)) ** 2
         rates = np.abs(kinematics.away(q, _SMALL * direction)) / _SMALL
-        self._ways = SLIDES * presliding_distance(model) / np.maximum(rates, ROUNDING)
+        self._ways = SLIDES * model.friction.distance / np.maximum(rates, ROUNDING)
 
     def seconds(self, way: float) -> float:
         """Time t in which the force has to rise, where the tip has gone straight on for a way [m] before."""
@@ -275,7 +271,7 @@ class BeyondSensor:
         self._model, self._T = model, T
         self._apart = max(round(SPAN / T), 1)
         self._heard: deque[tuple[Array, Array, Array, Array]] = deque(maxlen=2 * self._apart + 1)
-        self._distance = presliding_distance(model)
+        self._distance = model.friction.distance
         self._sliding = np.zeros(model.n)
         self._waited = self._travelled = 0.0
         self._filter = KalmanFilter(dim_x=1 + model.n, dim_z=model.n)
@@ -300,9 +296,7 @@ class BeyondSensor:
             self._heard.clear()
             return
         if self._heard:
-            step = measured.q - self._heard[-1][0]
-            end = np.sign(step)
-            self._sliding = end + (self._sliding - end) * np.exp(-np.abs(step) / self._distance)
+            self._sliding = slid(self._sliding, measured.q - self._heard[-1][0], self._distance)
         self._heard.append((measured.q, self._sliding, measured.tau, torque * felt))
         self._torque = torque
         self._waited, self._travelled = self._waited + self._T, self._travelled + abs(speed) * self._T

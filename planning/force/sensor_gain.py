@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array, G
+from ideal_robot.tolerances import ROUNDING
 from sensing.force.force_calibration import UNEXPLAINED, ToolLoad
 
 BY_CHANCE = 1e-5
@@ -154,7 +155,8 @@ class GainByMotors:
     """
 
     def __init__(self, beside: Array, distance: Array, cycles: int) -> None:
-        self._beside, self._distance, self._cycles = np.asarray(beside, dtype=float), distance, cycles
+        self._beside, self._cycles = np.asarray(beside, dtype=float), cycles
+        self._distance = np.maximum(distance, ROUNDING)
         self._from: Array | None = None
         self._now: list[tuple[Array, Array, Array]] = []
         self._blocks: list[tuple[int, Array, Array, Array, Array, Array]] = []

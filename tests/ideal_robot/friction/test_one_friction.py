@@ -16,6 +16,7 @@ from ideal_robot.friction.presliding import (
     dahl,
     friction_torque,
     measured_steps,
+    slid,
     sliding_direction,
 )
 from ideal_robot.friction.table import (
@@ -224,6 +225,13 @@ def test_exact_positions_and_measured_ones_walk_alike() -> None:
     q = 0.002 * np.sin(np.linspace(0.0, 12.0, 4000))[:, None]
     exact, measured = dahl(q[:, 0], DISTANCE), sliding_direction(q, np.zeros((1, 1)), np.array([DISTANCE]))[:, 0]
     assert np.max(np.abs(exact - measured)) < 0.2
+    direction, one_by_one = np.zeros(1), []
+    for step in np.diff(q, axis=0, prepend=q[:1]):
+        direction = slid(direction, step, np.array([DISTANCE]))
+        one_by_one.append(direction[0])
+    np.testing.assert_array_equal(one_by_one, exact)
+    # Without presliding the direction is that of the step.
+    np.testing.assert_array_equal(slid(np.zeros(2), np.array([1e-7, -1e-7]), np.zeros(2)), [1.0, -1.0])
     rng = np.random.default_rng(2)
     still = sliding_direction(1e-6 * rng.standard_normal((500, 1)), np.zeros((1, 1)), np.array([DISTANCE]))
     assert not still.any()

@@ -8,7 +8,7 @@ import pytest
 from ideal_robot.arrays import GRAVITY
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from planning.force.felt_by_motors import Hearing, presliding_distance
+from planning.force.felt_by_motors import Hearing
 from planning.force.sensor_gain import (
     LOSSES,
     UNKNOWN,
@@ -72,7 +72,7 @@ def test_pressed_as_slowly_as_it_takes_the_motors_tell_a_gain_as_well_as_gears_l
     way, speed = hearing.quickest(stiffness)
     seconds = most / (stiffness * speed)
     assert (way / speed + seconds) < 180.0
-    lever, distance = kinematics.torque(robot.home, up), presliding_distance(model)
+    lever, distance = kinematics.torque(robot.home, up), model.friction.distance
     rates = np.abs(kinematics.away(robot.home, 1e-3 * up)) / 1e-3
     rng, told = np.random.default_rng(4), list[SensorGain]()
     for gain in (1.0, 0.5):
