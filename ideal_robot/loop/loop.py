@@ -226,8 +226,10 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
     """
     torque = 0.0
     for m in range(ripple.shape[0]):
-        phase = ripple[m, 0, i] * q
-        torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
+        # A joint has few of the components that all joints together have; cosines are what takes time.
+        if ripple[m, 1, i] != 0.0 or ripple[m, 2, i] != 0.0:
+            phase = ripple[m, 0, i] * q
+            torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
     return torque
 
 
