@@ -58,12 +58,12 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
 
     A table for each device, a fault a row. Of force sensors (``force_wave``, ``contour``, ``glue``) the columns are the
     stages of the job in which it begins, and a cell says the sign, the largest true force on the surface since then,
-    how long after it the arm was at rest and how far the tip moved. Of cameras they are one that was calibrated and
+    and how long after it the arm was at rest. Of cameras they are one that was calibrated and
     one that is believed as it was mounted: the largest distance of the tool from the line, time and way until it
     rests. Of an arm behind RSI, and of three makers' interfaces, see ``link_faults``.
 
     Each play is kept as a line of --lines and not repeated; after so many --minutes no other is begun. --write puts
-    each table between its marks in the pages; those of camera, arm and interfaces have none. Exit code 1 where a
+    the table of force_wave between its marks in the page; the others have none. Exit code 1 where a
     surface bore more than 1.5 times the wanted force and more than 40 N, or an acceleration of ours is more than
     ``MOST`` of the arm's.
 
@@ -147,7 +147,7 @@ def _told(run: SimpleNamespace) -> str:
     if run.failure is None:
         return f"{run.force:.0f} N, goes on"
     noticed = next((sign for words, sign in _NOTICED.items() if words in run.failure), run.failure[:60])
-    return f"{noticed}: {run.force:.0f} N, {run.after:.1f} s, {1e3 * run.moved:.0f} mm"
+    return f"{noticed}: {run.force:.0f} N, {run.after:.1f} s"
 
 
 def _camera(fault: str, calibrated: bool) -> tuple[str, bool]:
