@@ -1,17 +1,14 @@
-"""Writes the table of where effects act into ``docs/effects.md``: ``python -m docs.effects_table``."""
+"""The table of where effects act, for the page ``docs/effects.md`` of the site: ``python -m docs.effects_table``."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library
 
-DOCUMENT = Path(__file__).parent / "effects.md"
-BEGIN, END = "<!-- where effects act -->", "<!-- end of where effects act -->"
-"""Marks around the table in the document."""
+MARK = "<!-- where effects act -->"
+"""Where the table stands in the page."""
 _SMALL = 1e-3
 
 
@@ -21,7 +18,7 @@ def change_of(effect: Effect) -> LoopChange:
 
 
 def acting_table() -> str:
-    """Markdown between the marks: effects by where they act, or why they do not, with the channels where each shows."""
+    """Markdown: effects by where they act, or why they do not, with the channels where each shows."""
     curve = Unknown(("q_1",), False, ((0.0, 1.0),))
     by_place: dict[str, dict[str, list[str]]] = {}
     for effect in (*library(), curve):
@@ -32,14 +29,13 @@ def acting_table() -> str:
     for place, effects in by_place.items():
         cell = ", ".join(f"`{name}` ({', '.join(channels)})" for name, channels in effects.items())
         rows.append(f"| {place} | {cell} |")
-    return "\n".join([BEGIN, *rows, END])
+    return "\n".join(rows)
 
 
 def with_table(document: str) -> str:
-    """A document with the table between its marks."""
-    before, _, rest = document.partition(BEGIN)
-    return before + acting_table() + rest.partition(END)[2]
+    """A page with the table in the place of its mark."""
+    return document.replace(MARK, acting_table())
 
 
 if __name__ == "__main__":
-    DOCUMENT.write_text(with_table(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
+    print(acting_table())

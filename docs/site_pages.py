@@ -18,6 +18,7 @@ from nbconvert import MarkdownExporter
 
 import ideal_robot
 import scenes
+from docs.effects_table import with_table
 from docs.execute_notebooks import NOTEBOOKS, outputs_of
 from scenes.schema import keys_pages
 
@@ -68,7 +69,8 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **kept: Any) -> str:
-    """Leads links to notebooks to the pages made of them."""
+    """Puts in the table of effects, and leads links to notebooks to the pages made of them."""
+    markdown = with_table(markdown)
     return markdown if page.file.src_uri.startswith("notebooks/") else linked(markdown)
 
 

@@ -43,7 +43,7 @@ GROUPS = {
         "measured": "measured", "measured-commands": "measured",
         "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
-    "strangers": {"strangers": "diagnoses", "certainty": "diagnoses", "each-effect": "diagnoses",
+    "strangers": {"strangers": "diagnoses", "each-effect": "diagnoses",
                   "sensors": "diagnoses", "users-way": "users_way"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {

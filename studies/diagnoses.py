@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import betaln
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.effects import SENSOR, library
+from ideal_robot.effects import SENSOR
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.idim import identify
 from ideal_robot.model.model import Model
@@ -42,7 +42,7 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
     Every recording follows from its seed; the engine goes by turns (mujoco, pybullet, integrator), or is that of
     --engine: one of these or dart, which was left out while the diagnosis was made. The kind is drawn
     (none, inside, new, outside, two, model, arm, known), --sizes are the least and most in multiples of visible. With
-    --lines each score is a line of that file, and seeds that have one are not played again. --write puts the first four
+    --lines each score is a line of that file, and seeds that have one are not played again. --write puts the first two
     tables into the page. --kind known plays healthy recordings against the model that `identify` makes of another
     healthy recording.
     """
@@ -55,25 +55,11 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
         write_tables("stranger trials", text)
 
 
-def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", sizes: str = "0.1,5",
-              lines: Path | None = None) -> None:
-    """How small a cause may be to be found, and how sure its name is: strangers with small effects.
-
-    Trials as in `strangers`, of 15 to 25 s: of --seeds the kind is drawn, those of --inside have one effect each that
-    the library has. --lines as there. The probability of a cause is what the score says.
-    """
-    least, most = numbers(sizes, "--sizes")
-    draw = partial(draw_trial, size=(least, most), seconds=(15.0, 25.0))
-    scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(_play, draw=draw)),
-              *_scores(whole_numbers(inside, "--inside"), lines, partial(_play, draw=partial(draw, kind="inside")))]
-    print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
-
-
 def each_effect(seeds: str = "1970000-1970011", sizes: str = "0.1,5", lines: Path | None = None) -> None:
     """From which size on each effect of the motor torque and of the arm's angle is found, and what is named falsely.
 
-    Trials as in `certainty`, one of each effect from each of --seeds plus a hundred thousand times its place in the
-    list. --lines as in `strangers`.
+    Trials as in `strangers`, of 15 to 25 s, one of each effect from each of --seeds plus a hundred thousand times its
+    place in the list. --lines as in `strangers`.
     """
     least, most = numbers(sizes, "--sizes")
     scores = []
@@ -107,12 +93,6 @@ def by_name(scores: Sequence[Score]) -> list[Score]:
 
     return [replace(s, probabilities=tuple(probabilities(own)) if own else ())
             for s, own in zip(scores, claims, strict=True)]
-
-
-def _family(cause: str) -> str:
-    """File of the effect that the library has for a cause."""
-    name = "dead_time" if cause == "arm_delay" else cause
-    return next(effect.__module__.rpartition(".")[2] for effect in library() if effect.name == name)
 
 
 def _scores(wanted: list[int], lines: Path | None, play: Callable[[int], Score | None],

@@ -333,14 +333,14 @@ def intervals(scores: Sequence[Score]) -> str:
 
 
 def report(scores: Sequence[Score]) -> str:
-    """The tables that a page publishes: rates, by size, false names, by cause."""
-    return "\n\n".join((rates(scores), power(scores), falsehoods(scores), confusion(scores)))
+    """The tables that a page publishes: rates and false names."""
+    return "\n\n".join((rates(scores), falsehoods(scores)))
 
 
 def details(scores: Sequence[Score]) -> str:
-    """Further tables: intervals by parameter, and rates by engine, motion, logger, friction, gears and controller."""
+    """Further tables: rates by size, by cause, and by engine, motion, logger …, and intervals by parameter."""
     by = ("engine", "motion", "logger", "friction", "gears", "controller")
-    return "\n\n".join((intervals(scores), *(breakdown(scores, key) for key in by)))
+    return "\n\n".join((power(scores), confusion(scores), intervals(scores), *(breakdown(scores, key) for key in by)))
 
 
 def _large(scores: Iterable[Score]) -> list[Score]:
