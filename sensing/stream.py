@@ -1,4 +1,35 @@
-"""The project's own stream of device data: addresses, packages, and the client's side."""
+"""The project's own stream of device data: addresses, packages, and the client's side.
+
+The wire format of our own stream: packages with stamps over TCP, and a parser that nothing can make grow.
+
+All numbers are big-endian. A package is a header of 16 bytes and its payload:
+
+====== ======== =========================================================================================
+offset type     meaning
+====== ======== =========================================================================================
+0      2 bytes  ``IR``
+2      uint8    version, 1
+3      uint8    kind
+4      uint32   bytes of payload, at most 4 MiB
+8      float64  stamp by the sender's clock [s]: mid-exposure, instant of measurement, or of sending
+====== ======== =========================================================================================
+
+====== ========== =============== =============================================================================
+kind   name       from            payload
+====== ========== =============== =============================================================================
+1      camera     device          uint16 width, uint16 height, float64 rate [Hz], float64 × 9 camera matrix row by
+                                  row, float64 × 5 distortion k1 k2 p1 p2 k3; NaN where not known
+2      field      device          uint32 number, uint16 width, uint16 height, gray values row by row, uint8
+3      sensor     device          float64 rate [Hz]
+4      wrench     device          uint32 number, float64 × 6: force [N] and moment [N m]
+5      ask        client          float64, anything; the device answers at once
+6      told       device          the same 8 bytes; the stamp is the device's clock when it answered
+====== ========== =============== =============================================================================
+
+A device sends what it is (1 or 3) first, then fields or wrenches as they come. Other kinds are passed over. With ask
+and told the client finds how the clocks relate without knowing any delay: half of the way there and back. The device
+has to send small packages at once (``TCP_NODELAY``).
+"""
 
 from __future__ import annotations
 
@@ -13,36 +44,6 @@ from ideal_robot.deadline import Deadline
 from ideal_robot.errors import BAD_ADDRESS, InputError
 from sensing import SensingError
 from sensing.clock_relation import ClockRelation
-
-# The wire format of our own stream: packages with stamps over TCP, and a parser that nothing can make grow.
-#
-# All numbers are big-endian. A package is a header of 16 bytes and its payload:
-#
-# ====== ======== =========================================================================================
-# offset type     meaning
-# ====== ======== =========================================================================================
-# 0      2 bytes  ``IR``
-# 2      uint8    version, 1
-# 3      uint8    kind
-# 4      uint32   bytes of payload, at most 4 MiB
-# 8      float64  stamp by the sender's clock [s]: mid-exposure, instant of measurement, or of sending
-# ====== ======== =========================================================================================
-#
-# ====== ========== =============== =============================================================================
-# kind   name       from            payload
-# ====== ========== =============== =============================================================================
-# 1      camera     device          uint16 width, uint16 height, float64 rate [Hz], float64 × 9 camera matrix row by
-#                                   row, float64 × 5 distortion k1 k2 p1 p2 k3; NaN where not known
-# 2      field      device          uint32 number, uint16 width, uint16 height, gray values row by row, uint8
-# 3      sensor     device          float64 rate [Hz]
-# 4      wrench     device          uint32 number, float64 × 6: force [N] and moment [N m]
-# 5      ask        client          float64, anything; the device answers at once
-# 6      told       device          the same 8 bytes; the stamp is the device's clock when it answered
-# ====== ========== =============== =============================================================================
-#
-# A device sends what it is (1 or 3) first, then fields or wrenches as they come. Other kinds are passed over. With ask
-# and told the client finds how the clocks relate without knowing any delay: half of the way there and back. The device
-# has to send small packages at once (``TCP_NODELAY``).
 
 HEADER = struct.Struct(">2sBBId")
 MAGIC, VERSION = b"IR", 1

@@ -28,7 +28,7 @@ GROUPS = {
         "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "speed",
     },
     "accuracy": {
-        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-cell": "arms", "arms-fast": "arms",
+        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-cell": "arms",
         "knew": "arms", "urdfs": "arms", "controllers": "controllers", "controlled-line": "controlled_line",
         "five-commands": "five_commands", "drifting-lag": "drifting_lag", "fr3-line": "fr3_line",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths", "friction-sigma": "adapted_friction",

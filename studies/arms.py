@@ -40,18 +40,6 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 TOLD: dict[str, Any] = {"external_rotation_noise": 0.0}
 """A measuring device without noise, for joint angles that a study takes for the truth."""
-WITHOUT: dict[str, dict[str, Any]] = {
-    "nothing": {},
-    "torque limits, current noise": {"world": {"torque_limits": False, "current_noise": 0.0}},
-    "noise of the picture, wear of the line": {
-        "camera": {"noise": 0.0}, "wear": {"width_percent": 0.0, "fade_percent": 0.0, "gaps": 0, "scratches": 0,
-                                           "crossings": 0, "glares": 0, "shades": 0}},
-    "the camera's latency": {"camera": {"latency": 0.0}},
-    "kinematic errors": {"world": {"kinematic_error": 0.0, "zero_error": 0.0, "twist_error": 0.0}},
-    "all of the workshop": {"world": "bench"},
-    "all of it, and the latency": {"world": "bench", "camera": {"latency": 0.0}},
-}
-"""What is taken away from the world while the arm's model stays, by name."""
 ASSUMED = {"masses": "the links weigh", "some masses": "no arm's masses", "speeds": "no arm's speed limit",
            "efforts": "no effort", "end of a turn": "turns without end", "joints held": "is held",
            "tool's direction": "which is not the z axis"}
@@ -146,22 +134,6 @@ def arms_cell(individuals: str = "1-20", seeds: str = "1-3") -> None:
         f"failed {int(np.isnan(means).sum())} of {len(means)}")
 
 
-def arms_fast(individuals: str = "1-4", seeds: str = "1-2", speed: float = 2.0) -> None:
-    """What a fast line's error is made of: the arm's part, the plan's, and both with single causes taken away.
-
-    The arm's part is the mean distance of the joints from the desired ones, across the path; the plan's that of the
-    desired path from the line.
-    """
-    arms = [chosen(scene_of(LineScene, "line"), individual=individual) for individual in _whole(individuals)]
-    arms = [scene.changed(model=_model(scene), world=TOLD, speed=speed) for scene in arms]
-    head("taken away", "mean mm", "worst run's mean", "the arm's part", "the plan's")
-    for name, change in WITHOUT.items():
-        parts = np.array([_parts(run(scene.changed(seed=seed, **change), method=ADAPTED))
-                          for scene in arms for seed in _whole(seeds)])
-        mean, arm, plan = parts.mean(axis=0)
-        row(name, *_mm([mean, parts[:, 0].max(), arm, plan]))
-
-
 def knew(seeds: int = 2, individual: int = 1) -> None:
     """A heavier tool, a cold start, a knocked camera: adapted beside the run that knew; mean errors in mm.
 
@@ -233,14 +205,6 @@ def _error(scene: LineScene, seed: int, method: str) -> tuple[float, float, floa
     error = result.control_error
     varying = float(np.mean(np.abs(error.lateral - np.mean(error.lateral))))
     return error.mean, error.p95, varying, float(np.mean(np.abs(_arms_part(result))))
-
-
-def _parts(result: LineResult) -> tuple[float, float, float]:
-    """Mean sizes of a run's error, of the arm's part in it, and of the plan's [m]; NaN where the run failed."""
-    if result.failure:
-        return np.nan, np.nan, np.nan
-    arm, lateral = _arms_part(result), result.control_error.lateral
-    return result.control_error.mean, float(np.mean(np.abs(arm))), float(np.mean(np.abs(lateral - arm)))
 
 
 def _arms_part(result: LineResult) -> Array:
