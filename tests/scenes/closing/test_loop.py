@@ -23,13 +23,39 @@ from scenes.line.close_loop import assumed_latency, close_loop, undeclared_effec
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
-from studies.closings import drawn_error, drawn_line
 from studies.report import scene_of
 from tests.scenes.test_full_disk import HELP
 from tests.sources import files_of_at_most
 
 KNOWN = Model.nominal(Robot.load("kr6"))
 NOTHING = Recording({"t": np.arange(3.0)}, {}, "nothing")
+SIZES = {"camera.stamp_offset": (2e-3, 10e-3), "camera.stamp_drift": (6e-4, 3e-3),
+         "calibration.focal_percent": (1.0, 4.0),
+         "calibration.height_mm": (1.0, 5.0), "calibration.yaw_deg": (0.3, 1.5), "calibration.pitch_deg": (0.3, 1.5),
+         "calibration.k1": (0.02, 0.08)}
+"""Least and most of what is wrong with a camera, by key."""
+CALIBRATION = ("roll_deg", "pitch_deg", "yaw_deg", "height_mm", "lateral_mm", "focal_percent", "principal_px", "k1")
+
+
+def drawn_line(rng: np.random.Generator) -> LineScene:
+    """A wavy line under a camera that is right."""
+    length, height = float(rng.uniform(0.6, 1.0)), float(rng.uniform(0.02, 0.05))
+    return scene_of(LineScene, "close_camera").changed(
+        world="bench", seed=int(rng.integers(1, 10**6)), speed=float(rng.uniform(0.4, 0.7)),
+        camera={"stamp_drift": 0.0},
+        line={"formula": f"{height:.4f}*sin(2*pi*x/{rng.uniform(0.5, 0.8):.3f})", "length": length},
+        calibration=dict.fromkeys(CALIBRATION, 0.0))
+
+
+def drawn_error(rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """One or two things that are wrong with a camera, as tables of the scene."""
+    result: dict[str, dict[str, float]] = {}
+    for key in map(str, rng.choice(list(SIZES), int(rng.integers(1, 3)), replace=False)):
+        table, name = key.split(".")
+        # The sizes of a calibration's errors have the signs that the scene's seed draws.
+        sign = float(rng.choice([-1.0, 1.0])) if table == "camera" else 1.0
+        result.setdefault(table, {})[name] = sign * float(rng.uniform(*SIZES[key]))
+    return result
 
 
 def effect(joint: int, size: float = 1.0) -> FittedEffect:
