@@ -45,7 +45,7 @@ GROUPS = {
     },
     "strangers": {"strangers": "diagnoses", "each-effect": "diagnoses",
                   "sensors": "diagnoses", "users-way": "users_way"},
-    "closings": {"outside": "closings", "true-friction": "closings"},
+    "closings": {"outside": "closings"},
     "robustness": {
         "limits": "limits", "device-faults": "faults", "sound-forces": "faults",
         "lockstep": "lockstep", "link-faults": "link_faults",

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Callable
 
 import numpy as np
-import typer
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects import FittedEffect, Signals
@@ -20,7 +18,6 @@ from scenes.closing.result import Closing, checked_measured
 from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import ArmOnPath, closed
 from scenes.scene_files.path_scene import PathScene
-from scenes.undeclared import undeclared_effects
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
@@ -164,23 +161,3 @@ def with_true_friction(loop: Loop, robot: Robot, world: World, joints: list[int]
     further = 1.0 + world.per_joint("stribeck", n) / np.maximum(world.per_joint("coulomb", n), 1e-9)
     distance = np.where(mask, further * world.per_joint("presliding", n), loop.friction.distance)
     return loop.changed(sizes=sizes, per_load=per_load, distance=distance)
-
-
-def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:
-    """The floor of a friction scene: its path by an ideal robot that is told the true friction of the joints.
-
-    --world holds keys of the world to change, as JSON. Rows: the model as it was; the true steady friction (its curve
-    over speed, its growth with load, the way over which it turns) of the joints whose friction the scene changed; and
-    of all joints. What is then left is what no better number of friction takes away.
-    """
-    played = load_scene(scene).changed(world=json.loads(world))
-    if not isinstance(played, PathScene):
-        raise typer.BadParameter("expected a scene of kind path")
-    cell = set_up(played, delay=False)
-    changed = sorted({joint for _, joint in undeclared_effects(played, cell.robot.n)})
-    head("friction known", "E_car aligned", "E_max aligned")
-    for name, joints in (("none: the model as it was", []), (f"true in joint {', '.join(map(str, changed))}", changed),
-                         ("true in all joints", list(range(1, cell.robot.n + 1)))):
-        loop = with_true_friction(cell.loop(), cell.robot, cell.world, joints) if joints else cell.loop()
-        error = cell.play(Inverse(loop)).errors.aligned
-        row(name, f"{1e3 * error.E_car:.3f} mm", f"{1e3 * error.E_max:.3f} mm")
