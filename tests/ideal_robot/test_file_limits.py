@@ -18,22 +18,16 @@ import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag2.storage_mcap import zstd
 
-from ideal_robot import bounded_values, row_log
+from ideal_robot import row_log
 from ideal_robot.bounded_values import checked, parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.row_log import KEPT, RowLog, file_of, in_new_file, let_go, new_array
 from ideal_robot.signals.recording import Recording
 from scenes.scene_files.shape import first_path
 from tests.ideal_robot.signals.test_recording import write_bag
-from tests.sources import ROOT, files_of_at_most
+from tests.sources import files_of_at_most
 
 MAGIC = b"\x89MCAP0\r\n"
-
-
-def test_the_page_shows_the_table() -> None:
-    page = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-    for limit in bounded_values.ALL:
-        assert f"| {limit.most:,} | {limit.what} |" in page
 
 
 def record(kind: int, content: bytes) -> bytes:
