@@ -39,7 +39,7 @@ class _Topic:
         self._node = Node(sim_time=bool(address.number("sim_time", 0, 0, 1)),
                           subnet=address.options.get("discovery") == "subnet")
         try:
-            self._node.newest_only(kind, self.name, self._take, depth)
+            self._node.listen(kind, self.name, self._take, depth)
             self._node.require_publisher(name, self.name, Deadline.within(PATIENCE))
         except Ros2Error as error:
             self._node.close()

@@ -104,10 +104,10 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
 
 
 def _identified(folder: Path) -> None:
-    """The model of the arm, from a motion that is planned for it; milliseconds begin when those before are answered."""
+    """The model of the arm, from a motion that is planned for it, in true time."""
     urdf = str(folder / "fr3.urdf")
     _command(folder, None, "plan-identification", "--robot", urdf, "--out", "plan")
-    with _process(folder, None, "fr3", "-m", "studies.other_arms", "fr3", HOST, "0", says="ready"):
+    with _process(folder, None, "fr3", "-m", "studies.other_arms", "fr3", HOST, "1", says="ready"):
         _command(folder, None, "play", "plan/commands.csv", "--robot", urdf, "--arm", f"franka://{HOST}", "--cycle",
                  str(CYCLE), "-o", "moved.parquet")
     _command(folder, None, "identify", "moved.parquet", "--robot", urdf, "--model", "model.json")

@@ -110,7 +110,8 @@ def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0, start: Se
     """
     urdf = write_fr3(folder)
     with _served("fr3", host, str(slowed), ",".join(map(repr, map(float, start))), states):
-        yield f"franka://{host}", urdf
+        # Who answers by itself is waited for; a process that answers meanwhile is not.
+        yield f"franka://{host}" + ("" if slowed else "?queue=0"), urdf
 
 
 @contextmanager
@@ -308,6 +309,19 @@ def answered_cycle(controller: Any) -> None:
     while time.monotonic() - begun < (ANSWER_WITHIN if controller.state.motion_possible() else 5e-3):
         if select.select([controller.sm._sock], [], [], 1e-3)[0]:
             return
+
+
+def timed_cycle(controller: Any) -> None:
+    """A cycle of ``airo-fanuc``'s emulated controller by this process's clock.
+
+    Args:
+        controller: see ``answered_cycle``.
+    """
+    due = time.perf_counter() + controller.sm.itp_s
+    controller.sm.tick(raise_on_violation=False)
+    controller.clock.advance(controller.sm.itp_s)
+    while (left := due - time.perf_counter()) > 0.0:
+        time.sleep(left)
 
 
 def _serve_kr6(wire: str, port: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import socket
 import time
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,11 @@ class EgmRobot(LinkedRobot):
         self._clock, self._paced = message.header.tm, message.header.seqno
         self._at_rest(measured if planned is None else planned, measured)
         return self._state(message)
+
+    def _stands_now(self) -> Array | None:
+        with suppress(EgmError):
+            return self._joints(self._next(Deadline.within(0.0)).feedBack)
+        return None
 
     def _handed_over(self, q_c: Array) -> None:
         self._answer(q_c)

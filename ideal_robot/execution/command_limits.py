@@ -30,9 +30,9 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
         if len(values) == 0:
             continue
         # NaN is within no limits.
-        outside = np.argwhere(~((values >= low) & (values <= high)))
-        if len(outside):
-            row, joint = (int(index) for index in outside[0])
+        within = (values >= low) & (values <= high)
+        if not within.all():
+            row, joint = (int(index) for index in np.argwhere(~within)[0])
             value = float(values[row, joint])
             limit = float(high[joint] if value > high[joint] else low[joint])
             raise LimitError(joint + 1, f"{quantity} [{arm.units(unit)[joint]}] at {start + row * t_ipo:.3f} s", value,

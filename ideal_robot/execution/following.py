@@ -21,6 +21,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.execution.guard import PROVED, SEEN, Watch, accelerations, probed
+from ideal_robot.jit import jit
 from ideal_robot.robots.interface import TOLERANCE
 from ideal_robot.robots.robot import Robot
 from ideal_robot.tolerances import ROUNDING
@@ -107,7 +108,7 @@ class AnyLoop:
     def __init__(self, n: int, T: float, slower: tuple[float, ...] = ()) -> None:
         self._dead = np.unique(np.round(np.linspace(0.0, _DEAD / T, _DEADS)).astype(int))
         lags = np.array([*_LAGS, *slower])
-        self._share = (1.0 - np.where(lags > 0.0, np.exp(-T / np.maximum(lags, ROUNDING)), 0.0))[None, :, None]
+        self._share = (1.0 - np.where(lags > 0.0, np.exp(-T / np.maximum(lags, ROUNDING)), 0.0))
         self._given = np.zeros((self._dead[-1] + 1, n))
         self._answer = np.zeros((len(self._dead), len(lags), n))
 
@@ -117,9 +118,69 @@ class AnyLoop:
 
     def step(self, command: Array) -> Array:
         """See ``Answer``."""
-        self._given[1:], self._given[0] = self._given[:-1].copy(), command
-        self._answer += self._share * (self._given[self._dead][:, None] - self._answer)
-        return self._answer.reshape(-1, self._answer.shape[-1]).copy()
+        return _answered(command, self._dead, self._share, self._given, self._answer)
+
+
+@jit()
+def _answered(command: Array, dead: Array, share: Array, given: Array, answer: Array) -> Array:
+    """``AnyLoop.step``: angles expected by dead time and lag ``(D L, n)``.
+
+    Args:
+        command: in force ``(n,)``.
+        dead, share: dead times in cycles ``(D,)``, and by lag the share of the way that is gone in a cycle ``(L,)``.
+        given, answer: commands, newest first ``(m, n)``, and what was expected before ``(D, L, n)``; both go on.
+    """
+    D, L, n = answer.shape
+    expected = np.empty((D * L, n))
+    for j in range(n):
+        for i in range(len(given) - 1, 0, -1):
+            given[i, j] = given[i - 1, j]
+        given[0, j] = command[j]
+        for d in range(D):
+            for i in range(L):
+                answer[d, i, j] += share[i] * (given[dead[d], j] - answer[d, i, j])
+                expected[d * L + i, j] = answer[d, i, j]
+    return expected
+
+
+@jit()
+def _compared(command: Array, q: Array, expected: Array, tolerance: float, forgets: float, given: Array,
+              measured: Array, likely: Array, unfit: Array) -> tuple[Array, Array, Array]:
+    """How far an arm is beside what is expected, by the likeliest loop that fits best.
+
+    Args:
+        command, q: in force and measured ``(n,)``.
+        expected: at the end of this cycle by every loop ``(C, n)``.
+        tolerance: at rest.
+        forgets: share of the past that is forgotten in a cycle.
+        given, measured, likely: commands, measured angles and those expected by that loop, newest first ``(m, n)``; all
+            go on.
+        unfit: mean square of deviations, in units of what is allowed ``(C, n)``; goes on.
+
+    Returns the deviation in units of what is allowed, and the ways of commands and arm that are known ``(n,)`` each.
+    """
+    C, n = expected.shape
+    least, commanded, moved = np.empty(n), np.empty(n), np.empty(n)
+    for j in range(n):
+        low, high, near, far = command[j], command[j], q[j], q[j]
+        for i in range(len(given) - 1, 0, -1):
+            given[i, j], measured[i, j], likely[i, j] = given[i - 1, j], measured[i - 1, j], likely[i - 1, j]
+            low, high = min(low, given[i, j]), max(high, given[i, j])
+            near, far = min(near, measured[i, j]), max(far, measured[i, j])
+        given[0, j], measured[0, j] = command[j], q[j]
+        commanded[j], moved[j] = high - low, far - near
+        allowed = tolerance + SHARE * (high - low)
+        best = np.inf
+        for c in range(C):
+            best = min(best, unfit[c, j])
+        least[j] = np.inf
+        for c in range(C):
+            off = abs(q[j] - expected[c, j]) / allowed
+            if unfit[c, j] <= best + _AS_WELL and off < least[j]:
+                least[j], likely[0, j] = off, expected[c, j]
+            # What a fault does may not make another loop the likeliest: it counts once.
+            unfit[c, j] += forgets * (min(off, 1.0)**2 - unfit[c, j])
+    return least, commanded, moved
 
 
 class Both:
@@ -218,27 +279,17 @@ class Following(Watch):
                 f"the measured position of joint {joint + 1} jumped by {self._size(leap[joint], joint)}")
         self._jumped = 0
         expected = self._answer.step(command) + self._rest
-        for known, value in ((self._given, command), (self._measured, q)):
-            known[1:], known[0] = known[:-1].copy(), value
-        allowed = self._tolerance + SHARE * np.ptp(self._given, axis=0)
-        off = (q - expected) / allowed
-        if len(self._unfit) != len(off):
-            self._unfit = np.zeros_like(off)
-        fits = self._unfit <= self._unfit.min(axis=0) + _AS_WELL
-        off[~fits] = np.inf
-        nearest = np.argmin(np.abs(off), axis=0)
-        self._expected[1:], self._expected[0] = self._expected[:-1].copy(), expected[nearest, np.arange(len(q))]
-        least = np.abs(off).min(axis=0)
-        # What a fault does may not make another loop the likeliest: it counts once.
-        square = np.minimum(np.where(fits, np.abs(off), np.abs((q - expected) / allowed)), 1.0) ** 2
-        self._unfit += self._forgets * (square - self._unfit)
-        least[~self._followed] = 0.0
+        if len(self._unfit) != len(expected):
+            self._unfit = np.zeros_like(expected)
+        beside, *ways = _compared(command, q, expected, self._tolerance, self._forgets, self._given, self._measured,
+                                  self._expected, self._unfit)
+        least = np.where(self._followed, beside, 0.0)
         self._doubt = float(least.max())
         if (reason := self._goes_on()) is not None:
             return reason
         self._beyond = self._beyond + 1 if (least > 1.0).any() else 0
         if self._beyond < PATIENCE:
-            self._moved(np.abs(off).min(axis=0))
+            self._moved(beside, *ways)
             return None
         return self._said(int(np.argmax(least)), q)
 
@@ -256,9 +307,8 @@ class Following(Watch):
         self._still = False
         return text
 
-    def _moved(self, least: Array) -> None:
-        """Takes note of joints that are where they are expected."""
-        given, measured = np.ptp(self._given, axis=0), np.ptp(self._measured, axis=0)
+    def _moved(self, least: Array, given: Array, measured: Array) -> None:
+        """Takes note of joints that are where they are expected, and of how far commands and arm have moved."""
         enough = (given > _FOLLOWED * self._usual) & (measured > _MOSTLY * given)
         self._proved |= enough & (least < 1.0)
         self._followed |= self._proved

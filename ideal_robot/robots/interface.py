@@ -7,6 +7,7 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from array import array
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -17,6 +18,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
+from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 
 
@@ -150,8 +152,7 @@ class FollowingWatch:
         self._sum[row] = self._sum[row - 1] + commanded - self._start
         self._commanded[row], self._measured[row] = commanded, measured
         self._count += 1
-        recent = self._commanded[(row - np.arange(self._window)) % len(self._commanded)]
-        low, high = recent.min(axis=0), recent.max(axis=0)
+        low, high = _extremes(self._commanded, row, self._window)
         offset = measured - self.rest
         beyond = np.maximum(low - offset, offset - high) - self.tolerance - _SHARE * (high - low)
         self._outside = self._outside + 1 if (beyond > 0).any() else 0
@@ -192,6 +193,18 @@ class FollowingWatch:
         if _left(moved, -command) <= _EXPLAINS:
             return f"{says}: it turns against it; check axis_sign in the robot's data"
         return f"{says} and does not follow it; check model, cycle, load and what stands in the way"
+
+
+@jit()
+def _extremes(rows: Array, row: int, count: int) -> tuple[Array, Array]:
+    """Least and largest of the last ``count`` rows ``(n,)`` each, of which the last is ``row`` of a ring ``(m, n)``."""
+    low, high = rows[row].copy(), rows[row].copy()
+    for i in range(1, count):
+        for j in range(rows.shape[1]):
+            value = rows[(row - i) % len(rows), j]
+            low[j], high[j] = min(low[j], value), max(high[j], value)
+    return low, high
+
 
 def _left(moved: Array, expected: Array) -> float:
     """Share of a motion ``(N,)`` that ``expected (N,)`` leaves, at the dead time and lag that fit best."""
@@ -321,8 +334,8 @@ class LinkCounts:
 
     Attributes:
         cycles: packets that were an interpolation cycle of their own.
-        lost: cycles whose packet never came, or came too late.
-        late: cycles of the controller's own that had no answer of ours.
+        lost: cycles whose packet never came.
+        late: cycles of the controller's own whose packet came, and to which no answer was made in time.
         repeated: packets of a cycle already answered.
         outdated: packets of a cycle before the last one.
         partial: messages without all of the arm's joints, as those of a gripper.
@@ -378,6 +391,23 @@ def read_waiting(link: socket.socket, deadline: Deadline, taken: Callable[[bytes
         found = taken(packet, sender) or found
 
 
+def _missed(lost: int, late: int) -> str:
+    """What became of packets in a row, in words.
+
+    >>> _missed(12, 0), _missed(0, 12), _missed(5, 7)
+    ('were lost', 'were read too late', 'were lost (5) or read too late (7)')
+    """
+    if lost and late:
+        return f"were lost ({lost}) or read too late ({late})"
+    return "were read too late" if late else "were lost"
+
+
+_ARRIVALS = 33
+"""Packets by whose arrival it is known whether they come evenly …"""
+_EVEN, _EVENLY = 0.25, 0.8
+"""… which is within this share of the cycle, this share of them."""
+
+
 class LinkedRobot(ABC):
     """A ``RobotInterface`` to an arm behind a link on which cycles may be missed.
 
@@ -398,6 +428,7 @@ class LinkedRobot(ABC):
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
         missed: whether the controller had to do without a command of ours since the last one.
+        unanswered: states that came before the last one and too late for an answer, oldest first.
         counts: what happened on the link.
         arrived: when the last packet was read, by ``time.perf_counter`` [s].
         horizon: coming cycles of which the link can hand over expected commands; 0 where it cannot.
@@ -414,6 +445,7 @@ class LinkedRobot(ABC):
     speed: float = 1.0
     paused: str | None = None
     notes: tuple[str, ...] = ()
+    unanswered: tuple[RobotState, ...] = ()
     ahead: Array | None = None
     lost_link: ClassVar[type[IdealRobotError]] = IdealRobotError
     """What is raised where the link breaks."""
@@ -427,9 +459,13 @@ class LinkedRobot(ABC):
         self._lost: str | None = None
         self.commanded = self._wanted = self._step = np.full(robot.n, np.nan)
         self.answer_times = array("d")
-        self.gone_on, self.missed, self._led = 0, False, False
+        self.gone_on, self.missed, self._led, self._replaced = 0, False, False, False
         # Of the commands in force, a cycle; where a controller holds the arm without one there is none.
         self._wire_speed = np.zeros(robot.n)
+        self._told = np.zeros((2, robot.n))
+        self._arrivals: deque[float] = deque(maxlen=_ARRIVALS)
+        self._stood_in = 0
+        self._stood = np.full(robot.n, np.nan)
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
@@ -462,17 +498,17 @@ class LinkedRobot(ABC):
 
     def _led_back(self, q_c: Array, speed: Array) -> Array:
         """The command ``(n,)`` [rad] for a wanted one, from the speed in force [rad a cycle], which is held evenly."""
-        if self.missed:
+        if self.missed or self._replaced:
             wanted, before = self._before
             self._catch_up.start(self.commanded - wanted, speed - before, before - self._step, before)
-            self.missed = False
+            self.missed = self._replaced = False
         back = self._catch_up.active
         return np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max) if back else q_c
 
     @property
     def settled(self) -> bool:
         """Whether what is in force is what was wanted: nothing missed and not yet made good."""
-        return not (self.missed or self._catch_up.active)
+        return not (self.missed or self._replaced or self._catch_up.active)
 
     @property
     def tolerance(self) -> float:
@@ -495,10 +531,13 @@ class LinkedRobot(ABC):
     def send(self, q_c: Array) -> None:
         """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
 
-        Raises ``lost_link`` before ``connect``, or where the link is broken.
+        Raises ``lost_link`` before ``connect``, where the link is broken, or where the arm has moved before the first
+        command.
         """
         if not np.isfinite(self.commanded).all():
             raise self.lost_link("connect to the controller before a command is handed over")
+        if not self._led:
+            self._require_unmoved()
         q_c = self._led_back(self._want(q_c), self._wire_speed)
         self._handed_over(q_c)
         self.answer_times.append(time.perf_counter() - self.arrived)
@@ -508,30 +547,99 @@ class LinkedRobot(ABC):
     def _handed_over(self, q_c: Array) -> None:
         """Answers the last packet with a command ``(n,)`` [rad]."""
 
+    def _with_ahead(self, q_c: Array) -> Array:
+        """A command ``(n,)`` and those expected of the coming cycles, with it ``(1 + horizon, n)`` [rad]."""
+        if self.ahead is None:
+            # To rest within the horizon, from the last step on.
+            ahead = np.cumsum(np.linspace(1.0, 0.0, self.horizon)[:, None] * self._step, axis=0) + self._wanted
+        else:
+            ahead, self.ahead = self.ahead, None
+        rows = np.vstack([q_c, ahead + (q_c - self._wanted)])
+        self._told = np.clip(rows, self.robot.q_min, self.robot.q_max)
+        return self._told
+
+    def _stands_now(self) -> Array | None:
+        """Where the arm is now, before the first command ``(n,)`` [rad]; None where the link has heard nothing more."""
+        return None
+
+    def _require_unmoved(self) -> None:
+        """Raises ``lost_link`` where the arm is not where it was when the controller was reached.
+
+        What is loaded before the first command takes as long as it takes; an arm may be moved by hand meanwhile, or by
+        another program, and would be torn back.
+        """
+        if (now := self._stands_now()) is None:
+            return
+        off = np.abs(now - self._stood)
+        j = int(np.argmax(off))
+        if off[j] > self.tolerance:
+            size = f"{np.degrees(off[j]):.2f}°" if self.robot.units("rad")[j] == "rad" else f"{1e3 * off[j]:.2f} mm"
+            self._lost = (f"joint {j + 1} has moved by {size} since the controller was reached, before anything was "
+                          "commanded; begin anew with the arm at rest")
+            raise self.lost_link(self._lost)
+
+    def _next_due(self, deadline: Deadline) -> Deadline:
+        """Until when the next packet is waited for before an expected command goes out in its place.
+
+        A packet that is lost would leave the controller without a command for a cycle, in which it holds the arm. Where
+        packets come evenly this computer's clock shows it half a cycle later, which is in time. Controllers that wait
+        for their answers do not come evenly, and are waited for.
+
+        Args:
+            deadline: until when it is waited for at all.
+        """
+        intervals = np.diff(self._arrivals)
+        even = np.abs(intervals - self.t_ipo) < _EVEN * self.t_ipo
+        if np.count_nonzero(even) < _EVENLY * (_ARRIVALS - 1) or self._stood_in >= self.horizon or not self._led:
+            return deadline
+        due = self._arrivals[-1] + (self._stood_in + 1.5) * self.t_ipo
+        return Deadline(deadline.seconds, min(due, deadline.end))
+
+    def _expected_command(self) -> Array:
+        """The command ``(n,)`` [rad] that goes out in place of the next one, whose packet has not come."""
+        self._stood_in += 1
+        return np.asarray(self._told[self._stood_in])
+
+    def _came(self) -> None:
+        """A packet has come that is to be answered."""
+        self._arrivals.append(self.arrived)
+        self._stood_in = 0
+
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""
+        self._stood = measured
         self.commanded = self._wanted = commanded
         self._step, self._lost, self._led = np.zeros(self.robot.n), None, False
         self._watch.begin(commanded, measured)
 
-    def _bridged(self, since: int) -> None:
-        """Counts packets that were lost before this one; raises ``lost_link`` where they are more than are tolerated.
+    def _bridged(self, since: int, older: int = 0, stood_in: int | None = None) -> None:
+        """Counts cycles without an answer before this packet; raises ``lost_link`` for more than are tolerated.
 
         Until the first command the controller holds the arm where it stands, however long that takes.
 
         Args:
-            since: cycles since the packet before; 1 where none was lost.
+            since: cycles since the packet before; 1 where none was missed.
+            older: packets of these cycles that were read together with this one: they came, but too late for an answer.
+            stood_in: cycles of these in which an expected command was in force; all within the horizon if None.
         """
+        self.gone_on = 0
         if not self._led:
             self._led = True
             return
+        late = min(older, max(since - 1, 0))
         if since - 1 > self.max_lost:
-            raise self.lost_link(f"{since - 1} {self.packets} in a row were lost, more than {self.max_lost}; check "
-                                 "network and load")
+            raise self.lost_link(f"{since - 1} {self.packets} in a row {_missed(since - 1 - late, late)}, more than "
+                                 f"{self.max_lost}; check network and load")
         if since > 1:
-            self.counts.lost += since - 1
-            # What was told beforehand is not missed as long as the horizon reaches.
-            self.missed = since - 1 > self.horizon or self.missed
+            self.counts.lost += since - 1 - late
+            self.counts.late += late
+            at = min(since - 1 if stood_in is None else stood_in, self.horizon)
+            self.missed = since - 1 > at or self.missed
+            if self.horizon:
+                # What was told beforehand is in force, which may be another than is wanted; at its end the arm is held.
+                self._replaced, self.gone_on = True, at
+                self.commanded = self._told[at]
+                self._wire_speed = (self._told[at] - self._told[at - 1]) if since - 1 == at else np.zeros(self.robot.n)
 
     def _looked_at(self, q: Array) -> Array:
         """Looks whether the arm, measured at ``q (n,)`` [rad], does what was commanded; returns ``q``."""

@@ -23,7 +23,7 @@ class Ros2Error(IdealRobotError):
 
 
 class Node:
-    """A node in a context of its own, whose callbacks run in whoever waits.
+    """A node in a context of its own; what has come is taken by whoever waits.
 
     Args:
         sim_time: whether the node's clock is that of ``/clock``.
@@ -40,7 +40,6 @@ class Node:
         # Read when the first node of a process is made.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET" if subnet else "LOCALHOST")
         import rclpy
-        from rclpy.executors import SingleThreadedExecutor
         from rclpy.parameter import Parameter
 
         self._rclpy, self._context = rclpy, rclpy.Context()
@@ -54,8 +53,7 @@ class Node:
         except Exception as error:  # the library's own, whose kinds differ between middlewares
             raise InputError(f"ROS 2 does not start here ({' '.join(str(error).split())}); check ROS_DOMAIN_ID and "
                              "RMW_IMPLEMENTATION", field="ros2") from error
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.ros)
+        self._waits: Any = None
 
     @property
     def domain(self) -> str:
@@ -64,17 +62,31 @@ class Node:
         return f"ROS_DOMAIN_ID {self._context.get_domain_id()}, discovery on {reach}"
 
     def spin(self, timeout: float) -> None:
-        """Runs the callbacks of what has arrived, of one message; waits for it up to ``timeout`` [s]."""
-        self._executor.spin_once(timeout_sec=max(timeout, 0.0))
+        """Takes every message that waits, oldest first; waits up to ``timeout`` [s] for one.
 
-    def drain(self) -> None:
-        """Takes every message that waits, so that the newest is known: what lags behind once would do so for ever."""
+        An executor of ``rclpy`` takes one message a turn and makes what it waits for anew in each.
+        """
+        if self._take_waiting():
+            return
+        if self._waits is None:
+            time.sleep(max(timeout, 0.0))
+            return
+        self._waits.clear_entities()
+        for subscription, _ in self._listened:
+            self._waits.add_subscription(subscription.handle)
+        self._waits.wait(round(1e9 * max(timeout, 0.0)))
+        self._take_waiting()
+
+    def _take_waiting(self) -> bool:
+        """Takes what waits; whether there was anything."""
+        found = False
         for subscription, taken in self._listened:
-            # The executor's own turn takes one at most, and none where it looks after itself.
             while (waiting := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                found = True
                 taken(waiting[0])
+        return found
 
-    def newest_only(self, kind: Any, topic: str, taken: Callable[[Any], None], depth: int = 5) -> None:
+    def listen(self, kind: Any, topic: str, taken: Callable[[Any], None], depth: int) -> None:
         """Subscribes so that any publisher matches, reliable or not.
 
         Args:
@@ -90,8 +102,11 @@ class Node:
 
         quality = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT,
                              durability=DurabilityPolicy.VOLATILE)
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+
         try:
             self._listened.append((self.ros.create_subscription(kind, topic, taken, quality), taken))
+            self._waits = rclpy_implementation.WaitSet(len(self._listened), 0, 0, 0, 0, 0, self._context.handle)
         except Exception as error:  # the library's own, for a topic of another type
             raise Ros2Error(f"{topic} cannot be listened to as {kind.__name__}: {' '.join(str(error).split())}"
                             ) from error
@@ -159,7 +174,7 @@ class Node:
 
     def close(self) -> None:
         """Leaves the graph."""
-        self._executor.shutdown()
+        self._waits = None
         self.ros.destroy_node()
         self._rclpy.shutdown(context=self._context)
 

@@ -91,16 +91,23 @@ class Ros2Robot(LinkedRobot):
         node.require_alone(name, self.commands, deadline)
         self._looked = time.perf_counter()
         # Who has made its publisher may publish later.
-        stamps = [self._stamp(self._next(max(deadline.left, self._timeout)))]
+        stamps = [self._stamp(self._next(max(deadline.left, self._timeout))[-1])]
         while len(stamps) < _SETTLED:
-            stamps.append(self._stamp(self._next(self._timeout)))
+            stamps += [self._stamp(message) for message in self._next(self._timeout)]
         self._check_cycle(np.diff(stamps))
-        state = self._next(self._timeout)
+        state = self._next(self._timeout)[-1]
         self._begun = self._last = self._stamp(state)
         stands = joint_states.positions(state)
         joint_states.require_radians(state)
         self._at_rest(stands, stands)
         return self._state(state)
+
+    def _stands_now(self) -> Array | None:
+        assert self._joint_states is not None
+        if not (waiting := self._joint_states.waiting()):
+            return None
+        message, self.arrived = waiting[-1]
+        return self._joint_states.positions(message)
 
     def _handed_over(self, q_c: Array) -> None:
         self._publisher.publish(self._trajectory(q_c) if self.trajectory
@@ -111,11 +118,10 @@ class Ros2Robot(LinkedRobot):
 
         Raises Ros2Error for silence, stamps that stand still, more missed than can be bridged.
         """
-        message = self._next(self._timeout)
+        *older, message = self._next(self._timeout)
         since = round((self._stamp(message) - self._last) / self.t_ipo)
-        self._bridged(since)
-        # The controller goes on along the horizon that it has.
-        self.gone_on = min(max(since - 1, 0), self.horizon)
+        self._bridged(since, len(older))
+        self.unanswered = tuple(self._state(one) for one in older)
         self._last = self._stamp(message)
         self._check_others()
         return self._state(message)
@@ -126,11 +132,12 @@ class Ros2Robot(LinkedRobot):
             self._node.close()
             self._node = None
 
-    def _next(self, timeout: float) -> Any:
-        """The next joint state, or the newest where several wait; raises Ros2Error where none comes in time [s]."""
+    def _next(self, timeout: float) -> list[Any]:
+        """Joint states that have come, the newest last; raises Ros2Error where none comes in time [s]."""
         assert self._joint_states is not None
-        message, self.arrived = self._joint_states.next(timeout)[-1]
-        return message
+        messages, arrived = zip(*self._joint_states.next(timeout), strict=True)
+        self.arrived = arrived[-1]
+        return list(messages)
 
     @staticmethod
     def _stamp(message: Any) -> float:
@@ -156,13 +163,7 @@ class Ros2Robot(LinkedRobot):
         # By the clock of the joint states, so that a message that is late says the same of every instant.
         stamp = message.header.stamp
         stamp.sec, stamp.nanosec = divmod(round(1e9 * (self._last + self.t_ipo)), 10**9)
-        if self.ahead is None:
-            # To rest within the horizon, from the last step on.
-            ahead = np.cumsum(np.linspace(1.0, 0.0, self.horizon)[:, None] * self._step, axis=0) + self._wanted
-        else:
-            ahead, self.ahead = self.ahead, None
-        rows = np.vstack([q_c, np.clip(ahead + (q_c - self._wanted), self.robot.q_min, self.robot.q_max)])
-        rows = rows[:, self._order]
+        rows = self._with_ahead(q_c)[:, self._order]
         speeds = np.gradient(rows, self.t_ipo, axis=0)
         for k, (row, speed) in enumerate(zip(rows, speeds, strict=True)):
             point = self._point(positions=row.tolist(), velocities=speed.tolist() if k < len(rows) - 1 else

@@ -21,6 +21,8 @@ STATES = "joint_states"
 KIND = "sensor_msgs/msg/JointState"
 _WAITING = 1000
 """States that are kept for whoever reads all of them: a second at the shortest cycle."""
+_QUEUE = 100
+"""Messages that wait at most: those of a computer that stood still for a tenth of a second came, and are not lost."""
 
 
 class JointStates:
@@ -31,7 +33,7 @@ class JointStates:
         topic: its full name.
         robot: joints by the names of its URDF.
         counts: of messages that are passed over.
-        every: whether all messages are wanted, as they come; else the newest alone, with stamps that rise.
+        every: whether all messages are wanted, as they come; else those with stamps that rise.
 
     Attributes:
         names: of the joints.
@@ -42,25 +44,27 @@ class JointStates:
 
         self.names = tuple(robot.pinocchio.names)[1:]
         self._node, self._topic, self._robot, self._counts, self._every = node, topic, robot, counts, every
-        self._taken: deque[tuple[Any, float]] = deque(maxlen=_WAITING if every else 1)
+        self._taken: deque[tuple[Any, float]] = deque(maxlen=_WAITING)
         self._newest = -np.inf
         self._places: tuple[tuple[str, ...], list[int]] = ((), [])
-        node.newest_only(JointState, topic, self._take, 100 if every else 5)
+        node.listen(JointState, topic, self._take, _QUEUE)
 
     def next(self, timeout: float) -> list[tuple[Any, float]]:
         """Messages that have come since the last call, and when they were read by ``time.perf_counter`` [s].
 
-        The newest is the last one, and the only one unless all are wanted. Raises Ros2Error where none comes within
-        ``timeout`` [s], or only such as are of no use.
+        The newest is the last one. Raises Ros2Error where none comes within ``timeout`` [s], or only such as are of no
+        use.
         """
         deadline, outdated, partial = Deadline.within(timeout), self._counts.outdated, self._counts.partial
-        if not self._every:
-            self._taken.clear()
         while not self._taken:
             self._node.spin(min(deadline.left, 0.1))
             if deadline.passed and not self._taken:
                 raise Ros2Error(self._silent(timeout, self._counts.outdated > outdated, self._counts.partial > partial))
-        self._node.drain()
+        return self.waiting()
+
+    def waiting(self) -> list[tuple[Any, float]]:
+        """Messages that have come since the last call, if any; see ``next``."""
+        self._node.spin(0.0)
         taken = list(self._taken)
         self._taken.clear()
         return taken

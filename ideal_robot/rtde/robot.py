@@ -33,6 +33,8 @@ _PLAYING = 2
 """``runtime_state`` of a running program."""
 _PAUSED = {3: "is being paused", 4: "is paused", 5: "is being resumed"}
 """``runtime_state`` of a program that goes on after a while."""
+_LOOK = 1e-3
+"""Time within which what waits is read before the first command [s]."""
 _STANDS = 1e-3
 """Speed below which the override holds the arm."""
 _G, _FALLS = 9.81, 1.0
@@ -128,6 +130,15 @@ class RtdeRobot(LinkedRobot):
         if np.isfinite(self.gravity).all():
             told["gravity_direction"] = self.gravity.round(3).tolist()
         return told
+
+    def _stands_now(self) -> Array | None:
+        if self._connection is None:
+            return None
+        waiting = self._connection.every(self._outputs, Deadline.within(_LOOK), quiet=True)
+        if not waiting:
+            return None
+        data, self.arrived = waiting[-1]
+        return np.array(data["actual_q"])
 
     def _handed_over(self, q_c: Array) -> None:
         if self._connection is None:

@@ -68,6 +68,7 @@ class StreamMotionRobot(LinkedRobot):
             raise InputError(f"Stream Motion moves arms with {_AXES} joints", field="robot",
                              value=f"{robot.name}: {robot.n}")
         super().__init__(robot, bridge, answers_within)
+        self.horizon = self.max_lost
         self.host, self.port, self.rmi_port = host, port, rmi_port
         self._timeout, self._wire = timeout, np.eye(_AXES)
         self._wire[2, 1] = j23
@@ -124,8 +125,16 @@ class StreamMotionRobot(LinkedRobot):
             self.receive()
         super().send(q_c)
 
+    def _stands_now(self) -> Array | None:
+        with suppress(StreamMotionError):
+            status = self._next(Deadline.within(0.0))
+            # A number is answered once, and the newest alone.
+            self._number = int(status["sequence_no"])
+            return self._angles(status)
+        return None
+
     def _handed_over(self, q_c: Array) -> None:
-        self._command(q_c, last=False)
+        self._command(self._with_ahead(q_c)[0], last=False)
         self._answered = True
 
     def _received(self) -> RobotState:
@@ -134,17 +143,21 @@ class StreamMotionRobot(LinkedRobot):
         Raises StreamMotionError for silence, an arm that the controller has stopped, more missed than can be bridged.
         """
         deadline = Deadline.within(self._timeout)
+        late = 0
         while True:
-            status = self._next(deadline)
+            status = self._awaited(deadline)
             since = cycles_since(int(status["sequence_no"]), self._number)
-            if since > 0:
+            if since > self._stood_in:
                 break
             self.counts.repeated += since == 0
             self.counts.outdated += since < 0
+            # It came after all, when its answer had gone out.
+            late += since > 0
         self._check(status)
         if not status["status"] & _MOVES:
             raise StreamMotionError("the controller has taken motion from the stream" + self._alarm())
-        self._bridged(since)
+        self._bridged(since, late, self._stood_in)
+        self._came()
         self._number, self._answered = int(status["sequence_no"]), False
         return self._state(status)
 
@@ -192,11 +205,22 @@ class StreamMotionRobot(LinkedRobot):
             with suppress(ConnectionRefusedError):  # nobody is there any more, which silence will say
                 self._socket.send(packet)
 
-    def _command(self, q: Array, last: bool) -> None:
-        """Sends joint angles ``(n,)`` [rad] as the answer to the last status."""
-        angles = np.degrees(np.linalg.solve(self._wire, q))
-        packet = self._core.encode_command_packet(self._number, last, 1, [*angles, *[0.0] * (_WIRE_AXES - _AXES)])
+    def _command(self, q: Array, last: bool, ahead: int = 0) -> None:
+        """Sends joint angles ``(n,)`` [rad] as the answer to the last status, or to one so many cycles ahead."""
+        angles = [*np.degrees(np.linalg.solve(self._wire, q)), *[0.0] * (_WIRE_AXES - _AXES)]
+        packet = self._core.encode_command_packet((self._number + ahead) % 2**32, last, 1, angles)
         self._tell(_HEADER.pack(_COMMAND, self._version) + packet[_HEADER.size:])
+
+    def _awaited(self, deadline: Deadline) -> dict[str, Any]:
+        """The next status; where it does not come in time its number is answered by the command expected for it."""
+        assert self._socket is not None
+        while (due := self._next_due(deadline)) is not deadline and not deadline.passed:
+            if read_waiting(self._socket, due, self._taken, 2048):
+                return self._newest
+            if due.passed:
+                q = self._expected_command()
+                self._command(q, last=False, ahead=self._stood_in)
+        return self._next(deadline)
 
     def _next(self, deadline: Deadline) -> dict[str, Any]:
         """The newest status that is one; raises StreamMotionError for silence."""

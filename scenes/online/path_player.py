@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased, held
+from ideal_robot.arrays import Array, eased, held, interpolated
 from ideal_robot.errors import IdealRobotError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.execution.following import Following
@@ -67,6 +67,7 @@ class PathRun(Summarised):
         precautions: what the system granted for even timing.
         begun: rows of rest before the path.
         rows: rows of the path, rests included.
+        answered: rows of the recording that were answered in time.
         details: of the interface, for figures.
     """
 
@@ -77,6 +78,7 @@ class PathRun(Summarised):
     precautions: list[str]
     begun: int
     rows: int
+    answered: int
     details: dict[str, Any] = field(default_factory=dict)
 
     def summary(self) -> list[tuple[str, str]]:
@@ -87,7 +89,7 @@ class PathRun(Summarised):
 
     def json(self) -> dict[str, Any]:
         """Key figures for JSON."""
-        return {**self.recording.meta, "failure": self.failure, "cycles": len(self.recording.t),
+        return {**self.recording.meta, "failure": self.failure, "cycles": self.answered,
                 "path_cycles": self.rows, "link": self.counts, **self.details,
                 "answer_time_ms": self.answer_times_ms, "timing": self.precautions,
                 "motor_rms_error_mrad": None if len(self.recording.t) <= self.begun else self.errors_mrad()}
@@ -99,7 +101,7 @@ class PathRun(Summarised):
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """What a person wants first."""
-        rows: list[list[Any]] = [["cycles answered", f"{len(self.recording.t)} of {self.rows}"],
+        rows: list[list[Any]] = [["cycles answered", f"{self.answered} of {self.rows}"],
                                  *([in_words(key), value] for key, value in self.counts.items()
                                    if key != "cycles" and isinstance(value, int)),
                                  ["answer after, median ms", self.answer_times_ms["median"]],
@@ -189,7 +191,7 @@ class PathPlayer:
         self._commands: PathCommands | None = None
         self._in_force = _InForce(link)
         self._slowest = 1.0
-        self._waited, self._where = 0, "stopped on the way to the start"
+        self._waited, self._answers, self._where = 0, 0, "stopped on the way to the start"
 
     @property
     def _reason(self) -> str | None:
@@ -288,11 +290,15 @@ class PathPlayer:
         if self.link.fault is not None:
             self.stop(self.link.fault)
         steps = 1 if last is None else max(round((state.t - last.t) / self.link.t_ipo), 1)
+        heard = (*(() if last is None else (last,)), *self.link.unanswered, state)
         for i in range(1, steps + 1):
             share = i / steps
             self._in_force.between(share)
-            t, q = (state.t, state.q) if last is None else (last.t + share * (state.t - last.t),
-                                                            last.q + share * (state.q - last.q))
+            t, q = state.t, state.q
+            if last is not None and i < steps:
+                t = last.t + share * (state.t - last.t)
+                q = interpolated(np.array([t]), np.array([one.t for one in heard]), np.array([one.q for one in heard])
+                                 )[0]
             self.guard.look(t - self._time.zero, q_c, q)
         self._in_force.taken()
         if self.link.paused is not None:
@@ -353,24 +359,30 @@ class PathPlayer:
             self.link.ahead = now.ahead
             self.link.send(now.q_c)
             self.guard.hand_over(now.q_c)
-            more = [np.ravel(value) for value in state.columns.values()]
-            log.append(np.concatenate([[state.t], now.q_d, now.q_c, state.q, state.tau, *more]))
+            log.append(_row(state, now))
+            self._answers += 1
             if len(log) % 50 == 0:
                 progress(min(len(log) / len(q_d), 1.0), self.guard.held or "")
             observes = self.feedforward.observes
             if not observes and (coming := next(cycles, None)) is None:
                 return
-            state = self._received(now.q_c)
+            before, state = state, self._received(now.q_c)
             if observes:
                 # What was measured changes the next command, which is then made between the two.
                 assert self._commands is not None
                 self._commands.observe(state)
                 coming = next(cycles, None)
+            passed = list[_Cycle]()
             for _ in range(self.link.gone_on):
                 # The controller went on meanwhile, and so does the path.
                 if coming is not None and (later := next(cycles, None)) is not None:
                     self.link.skip(coming.q_c)
+                    passed.append(coming)
                     coming = later
+            for older in self.link.unanswered:
+                # What came too late for an answer was measured all the same.
+                i = round((older.t - before.t) / self.link.t_ipo) - 1
+                log.append(_row(older, passed[i] if i < len(passed) else now))
 
     def _ahead(self, q_d: Array, k: int, q_c: Array) -> Array | None:
         """Commands expected behind that of row ``k``: they go on as the path does; None where they are not known."""
@@ -453,7 +465,7 @@ class PathPlayer:
         if self._force is not None:
             guarded["largest_force_N"] = self._force.largest
         return PathRun(self._recording(log, names), self._reason, *answered, granted, self.rest, len(self.q_d),
-                       details={"guard": guarded, "notes": list(self.link.notes)})
+                       self._answers, details={"guard": guarded, "notes": list(self.link.notes)})
 
     def _recording(self, log: RowLog, names: dict[str, tuple[int, ...]]) -> Recording:
         robot = self.link.robot
@@ -474,6 +486,12 @@ class PathPlayer:
                 columns[name] = column
             first = last
         return Recording.from_arrays(t[:, 0], meta=meta, source=self.source, **columns)
+
+
+def _row(state: RobotState, now: _Cycle) -> Array:
+    """What is recorded of a cycle: the state, and what was desired and commanded at its time."""
+    return np.concatenate([[state.t], now.q_d, now.q_c, state.q, state.tau,
+                           *[np.ravel(value) for value in state.columns.values()]])
 
 
 class _InForce:

@@ -15,7 +15,7 @@ import pytest
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.fci import FciError, FciRobot
-from ideal_robot.fci.robot import said
+from ideal_robot.fci.milliseconds import Answering, FciMotion, Wanted, said
 from ideal_robot.interfaces import LinkSettings, connected_arm
 from ideal_robot.robots.robot import Robot
 from studies.other_arms import FR3_HOME, fr3
@@ -87,7 +87,7 @@ class Controller:
 def led(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     def leads(controller: Controller, cycle: float = 1e-3) -> FciRobot:
         monkeypatch.setitem(sys.modules, "pylibfranka", controller)
-        link = FciRobot(arm(tmp_path, cycle), "here")
+        link = FciRobot(arm(tmp_path, cycle), "here", queue=0.0)
         link.connect(0.1)
         return link
     return leads
@@ -141,6 +141,69 @@ def test_the_path_goes_on_where_the_controller_did(led) -> None:
     np.testing.assert_allclose(sent[5000 + 700], way(0.697), atol=1e-3)
 
 
+def answered(controller: Controller, cycle: int, given: dict[int, list[int]], milliseconds: int) -> Array:
+    """What is sent in each millisecond where commands of ``cycle`` ms come 4 ms before they are played.
+
+    Args:
+        controller: the arm's.
+        cycle: of the commands [ms].
+        given: cycles whose command comes with that of another cycle; an empty list where it never comes.
+        milliseconds: how many are answered.
+    """
+    sys.modules["pylibfranka"] = controller  # type: ignore[assignment]
+    wanted = Wanted("here", False, 0.1, cycle, 4, np.full(7, 10.0), np.full(7, 2.5))
+    answering = Answering(FciMotion("here", False, 0.1), wanted)
+
+    def rows(k: int) -> Array:
+        return np.array([way(1e-3 * cycle * i) for i in range(k, k + 100 // cycle + 1)])
+
+    answering.begin(rows(0))
+    for _ in range(milliseconds):
+        if (report := answering.next()) is not None:
+            for k in given.get(report.cycle, [report.cycle]):
+                answering.knots.give(k, rows(k))
+    if report is not None and not controller.misses:
+        assert report.late == sum(k <= (at * cycle - 5) // cycle for at, of in given.items() for k in of)
+    return np.array([q for _, q in controller.commands])
+
+
+@pytest.fixture
+def library(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pylibfranka", None)
+
+
+@pytest.mark.parametrize("cycle", [1, 2, 4, 8])
+def test_a_command_that_comes_too_late_was_expected(library: None, cycle: int) -> None:
+    kept = answered(Controller(), cycle, {}, 1200)
+    begin = 400 // cycle
+    # Eighty milliseconds in which none comes, then all of them at once.
+    count = 80 // cycle
+    silent: dict[int, list[int]] = {begin + i: [] for i in range(count)}
+    late = answered(Controller(), cycle, silent | {begin + count: list(range(begin, begin + count + 1))}, 1200)
+    np.testing.assert_allclose(late, kept, atol=1e-12)
+    assert np.abs(np.diff(kept, 2, axis=0)).max() / 1e-6 < 1.02 * 0.3 * 10 / np.sqrt(3) / min(cycle, 1)
+    np.testing.assert_allclose(kept[-1], way(1.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("cycle", [2, 4, 8])
+def test_an_arm_of_which_no_command_is_known_is_braked(library: None, cycle: int) -> None:
+    sent = answered(Controller(), cycle, {k: [] for k in range(400 // cycle, 1200 // cycle + 1)}, 1200)
+    assert np.abs(np.diff(sent, 2, axis=0)).max() / 1e-6 < 10.0
+    assert np.abs(np.diff(sent[-100:], axis=0)).max() < 1e-12
+
+
+@pytest.mark.parametrize("count", [1, 3, 12])
+@pytest.mark.parametrize("cycle", [1, 4, 8])
+def test_milliseconds_that_were_missed_are_led_back_from(library: None, cycle: int, count: int) -> None:
+    controller = Controller(misses=set(range(450, 450 + count)))
+    sent = answered(controller, cycle, {}, 1300)
+    ticks = np.array([tick for tick, _ in controller.commands])
+    # The controller goes on at its speed meanwhile.
+    every = np.array([np.interp(np.arange(ticks[0], ticks[-1] + 1), ticks, column) for column in sent.T]).T
+    assert np.abs(np.diff(every, 2, axis=0)).max() / 1e-6 < 1.5 * 10.0
+    np.testing.assert_allclose(sent[-1], way(1.0), atol=1e-9)
+
+
 def test_too_many_lost_end_it(led) -> None:
     link = led(Controller(misses=set(range(300, 450))))
     with pytest.raises(FciError, match="150 states in a row"):
@@ -187,7 +250,7 @@ def test_an_arm_that_cannot_be_led_now(led, mode: str, says: str) -> None:
 
 def test_nobody_there_and_an_arm_that_does_not_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "pylibfranka", Controller())
-    led_by_nobody = FciRobot(arm(tmp_path), "nobody")
+    led_by_nobody = FciRobot(arm(tmp_path), "nobody", queue=0.0)
     with pytest.raises(FciError, match="activated in Desk"):
         led_by_nobody.connect(0.1)
     with pytest.raises(InputError, match="7 joints"):

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.stream_motion import StreamMotionError, StreamMotionRobot
@@ -85,6 +86,82 @@ def test_lost_status_packets_delay_the_arm_and_are_made_good(robot: Robot) -> No
     np.testing.assert_allclose(np.sort(np.diff([state.t for state in states]))[-3:], [T, 4 * T, 4 * T], atol=1e-9)
     np.testing.assert_allclose(link.commanded, way(140), atol=1e-9)
     assert controller.sm.violations == []
+
+
+class Wire:
+    """A controller whose clock is the test's: a status every cycle, but for those that are lost or late.
+
+    Args:
+        lost: numbers of status that do not come.
+        late: by how much others are late [s].
+    """
+
+    def __init__(self, lost: set[int], late: dict[int, float]) -> None:
+        self.now, self.sent, self.at = 0.0, dict[int, Array](), dict[int, float]()
+        self._due = sorted((T * n + late.get(n, 1e-4), n) for n in range(1, 400) if n not in lost)
+
+    def read(self, link: Any, deadline: Deadline, taken: Callable[[Any, Any], bool], size: int) -> bool:
+        """``read_waiting``."""
+        due, number = self._due[0]
+        if due > max(deadline.end, self.now):
+            self.now = deadline.end
+            return False
+        self.now = max(self.now, due)
+        del self._due[0]
+        stands = self.sent[max(self.sent)] if self.sent else HOME
+        return taken({"sequence_no": number, "status": 1, "robot_status": 0, "contact_stop_status": 0,
+                      "packet_type": 202, "safety_scale": 1.0, "current": np.zeros(9),
+                      "joint_angle": np.degrees([*stands, 0.0, 0.0, 0.0])}, None)
+
+    def encode_command_packet(self, number: int, last: bool, kind: int, angles: list[float]) -> bytes:
+        """Notes a command of the number; of none twice."""
+        assert number not in self.sent
+        self.sent[number], self.at[number] = np.radians(angles[:6]), self.now
+        return bytes(100)
+
+    def send(self, packet: bytes) -> None:
+        return
+
+
+@pytest.mark.parametrize("late", [{}, {100: 0.7 * T}, {100: 1.6 * T, 101: 1.1 * T}])
+def test_a_status_that_does_not_come_in_time_is_answered_by_the_command_expected_for_it(
+        robot: Robot, monkeypatch: pytest.MonkeyPatch, late: dict[int, float]) -> None:
+    wire = Wire({70, 85, 86}, late)
+    monkeypatch.setattr("ideal_robot.stream_motion.robot.read_waiting", wire.read)
+    monkeypatch.setattr("time.perf_counter", lambda: wire.now)
+    link = StreamMotionRobot(robot, "here")
+    link._socket, link._core, link._decoded = wire, wire, lambda packet: packet  # type: ignore[assignment]
+    link._number = link._begun = 0
+    link._at_rest(HOME, HOME)
+    k = 0
+    while k < 160:
+        link.cycle(way(max(k - 50, 0), 100))
+        k += 1
+        for _ in range(link.gone_on):
+            link.skip(way(max(k - 50, 0), 100))
+            k += 1
+    # One that another has overtaken is of no use.
+    assert link.counts.lost == 3 + link.counts.outdated
+    assert sorted(wire.sent) == list(range(max(wire.sent) + 1))
+    # In time: before the cycle of the number is over.
+    assert max(wire.at[number] - T * number for number in wire.sent) < T
+    commands = np.array([wire.sent[number] for number in sorted(wire.sent)])
+    assert np.abs(np.diff(commands, 2, axis=0)).max() / T**2 < 1.5 * robot.a_max.min()
+    np.testing.assert_allclose(link.commanded, way(160), atol=1e-9)
+
+
+def test_a_controller_that_waits_for_its_answers_is_not_answered_before_it_asks(
+        robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    wire = Wire(set(), {n: 0.3 * T * (n % 7) for n in range(1, 400)})
+    monkeypatch.setattr("ideal_robot.stream_motion.robot.read_waiting", wire.read)
+    monkeypatch.setattr("time.perf_counter", lambda: wire.now)
+    link = StreamMotionRobot(robot, "here")
+    link._socket, link._core, link._decoded = wire, wire, lambda packet: packet  # type: ignore[assignment]
+    link._number = link._begun = 0
+    link._at_rest(HOME, HOME)
+    for k in range(100):
+        link.cycle(way(k))
+        assert link.gone_on == 0
 
 
 def test_no_number_is_answered_twice_when_a_path_or_the_stream_ends_behind_a_command(robot: Robot) -> None:

@@ -30,7 +30,7 @@ class Lockstep(Wall):
 
     tolerance, horizon, gone_on, settled = TOLERANCE, 0, 0, True
     fault = paused = None
-    speed, notes = 1.0, ()
+    speed, notes, unanswered = 1.0, (), ()
 
     def __init__(self, q: Array, height: float, stiffness: float, standing: tuple[int, int] = (0, 0)) -> None:
         super().__init__(q, height, stiffness, 0.01, 1.0, 1)

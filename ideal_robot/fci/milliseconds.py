@@ -1,0 +1,514 @@
+r"""Answers Franka's controller every millisecond from commands that are known some milliseconds ahead.
+
+A command a cycle ``T`` makes that of each millisecond by a quadratic B-spline, whose speed is continuous and whose
+acceleration is that of the commands,
+
+.. math:: q(s) = \tfrac12 \left[(1 - s)^2 q_{k-2} + (1 + 2 s - 2 s^2)\, q_{k-1} + s^2 q_k\right], \qquad 0 < s \le 1 ,
+
+half a cycle behind them. Whoever computes commands in Python cannot answer every millisecond: it computes for longer
+than one now and then, and ``libfranka`` waits for a state without letting other threads run. So a process of its own
+answers. A command is played a few milliseconds after the state that it answers, and comes with those that are expected
+behind it, which are played where the next comes too late; where none is known any more the arm is braked.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.robots.interface import CatchUp
+
+AXES, PERIOD = 7, 1e-3
+_AGAIN = 0.2
+"""Time between two attempts to connect [s]."""
+_STARTS, _SILENCE = 30.0, 2.0
+"""How long the process may take to start, and to say something [s]: the library waits a second for a state."""
+_PROGRAM = "import sys; from ideal_robot.fci.milliseconds import main; main(int(sys.argv[1]))"
+_BRAKES = 0.5
+"""Share of the acceleration limit with which an arm is braked of which no command is known."""
+_SAID = {
+    "communication_constraints_violation": "answers came too late or were lost: a computer with less to do, real-time "
+                                           "priority, a cable of its own",
+    "joint_motion_generator_position_limits_violation": "a command beyond the joint limits",
+    "joint_motion_generator_velocity_limits_violation": "a command faster than the joints may be",
+    "joint_motion_generator_velocity_discontinuity": "the commands' speed leaps: a smoother or slower path",
+    "joint_motion_generator_acceleration_discontinuity": "the commands' acceleration leaps: a smoother or slower path",
+    "joint_position_motion_generator_start_pose_invalid": "the first command is not where the arm stands",
+    "joint_position_limits_violation": "a joint is beyond its limits: guide it back by hand",
+    "joint_velocity_violation": "a joint is faster than it may be",
+    "joint_reflex": "a collision was detected: external torque of a joint above its threshold",
+    "cartesian_reflex": "a collision was detected: external force above its threshold",
+    "self_collision_avoidance_violation": "the arm came too near to itself",
+    "tau_j_range_violation": "a torque sensor is beyond its range: less load or acceleration",
+    "power_limit_violation": "the motors take too much power: a slower path",
+    "instability_detected": "the arm oscillates: check the load that is set",
+    "User Stop pressed": "the user stop is pressed: release it",
+}
+"""What the controller's reflexes say, and what helps; others are said by their names."""
+_SILENT = "UDP receive: Timeout"
+"""What the library says where no state comes: nobody knows then what the arm does."""
+_MODES = {"UserStopped": "the user stop is pressed: release it", "Guiding": "the arm is being guided by hand",
+          "Reflex": "the arm has stopped by a reflex: recover it in Desk",
+          "Other": "brakes are closed, or FCI is not active"}
+
+
+class FciError(IdealRobotError):
+    """The controller is not there, does not let itself be led, or has stopped the arm."""
+
+
+class FciState(NamedTuple):
+    """What the controller reports of a millisecond.
+
+    Attributes:
+        tick: its number.
+        q, q_d, dq_d: measured and commanded joint angles, and the commands' speed ``(7,)`` [rad, rad/s].
+        tau, tau_ext: measured torques, and those estimated to be external ``(7,)`` [N m].
+        wrench: estimated at the tool ``(6,)`` [N, N m].
+        mode: number of the arm's mode.
+        success: share of the last commands that came in time.
+    """
+
+    tick: int
+    q: Array
+    q_d: Array
+    dq_d: Array
+    tau: Array
+    tau_ext: Array
+    wrench: Array
+    mode: float
+    success: float
+
+
+class FciMotion:
+    """The motion of one arm by ``pylibfranka``, whose errors are said in the field's words.
+
+    Args:
+        host: address of the controller.
+        cartesian: whether the controller's Cartesian impedance holds the commanded joints, not its joint impedance.
+        patience: how long the controller is waited for [s].
+
+    Raises:
+        FciError: no controller, or an arm that cannot be led now.
+
+    Attributes:
+        tick: of the last state.
+        begun: whether the motion has begun.
+        stopped: whether the controller has ended it.
+    """
+
+    def __init__(self, host: str, cartesian: bool, patience: float) -> None:
+        import pylibfranka
+
+        self._library, deadline = pylibfranka, Deadline.within(patience)
+        self._cartesian = cartesian
+        self._franka: Any = None
+        self._control: Any = None
+        self.tick, self.begun, self.stopped = 0, False, False
+        while self._franka is None:
+            try:
+                self._franka = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
+            except (pylibfranka.FrankaException, RuntimeError) as error:
+                if deadline.left < _AGAIN:
+                    raise FciError(f"no controller at {host} ({_line(error)}); check address, cable, and that FCI "
+                                   "is activated in Desk") from error
+                time.sleep(_AGAIN)
+
+    def look(self) -> FciState:
+        """The state of an arm that is not led yet; raises FciError where it cannot be."""
+        state = self._asked(self._franka.read_once)
+        if state.robot_mode.name in _MODES:
+            raise FciError(f"the arm cannot be led: {_MODES[state.robot_mode.name]}")
+        if state.current_errors:
+            raise FciError(f"the arm has stopped: {said(str(state.current_errors))}; recover it in Desk")
+        return self._noted(state)
+
+    def begin(self) -> FciState:
+        """Begins the motion, from where the controller holds the arm; returns its first state."""
+        mode = self._library.ControllerMode
+        self._control = self._asked(lambda: self._franka.start_joint_position_control(
+            mode.CartesianImpedance if self._cartesian else mode.JointImpedance))
+        self.begun = True
+        return self.read()
+
+    def read(self) -> FciState:
+        """Waits for the next state; raises FciError where the controller has stopped the arm."""
+        state, _ = self._asked(self._control.readOnce)
+        return self._noted(state)
+
+    def write(self, q: Array) -> None:
+        """Commands joint angles ``(7,)`` [rad] of the coming millisecond."""
+        self._asked(lambda: self._control.writeOnce(self._library.JointPositions(q.tolist())))
+
+    def end(self, q: Array) -> None:
+        """Ends the motion at joint angles ``(7,)`` [rad], unless the controller has, and the connection."""
+        # A controller that has ended the motion by itself answers no command any more.
+        if self._control is not None and not self.stopped:
+            command = self._library.JointPositions(q.tolist())
+            command.motion_finished = True
+            with suppress(self._library.FrankaException, RuntimeError):
+                self._control.writeOnce(command)
+        self._control = self._franka = None
+
+    def _noted(self, state: Any) -> FciState:
+        self.tick = round(state.time.to_sec() / PERIOD)
+        return FciState(self.tick, np.array(state.q), np.array(state.q_d), np.array(state.dq_d), np.array(state.tau_J),
+                        np.array(state.tau_ext_hat_filtered), np.array(state.K_F_ext_hat_K),
+                        float(state.robot_mode.value), float(state.control_command_success_rate))
+
+    def _asked(self, call: Any) -> Any:
+        """What a call of the library gives; its errors in the field's words."""
+        try:
+            return call()
+        except (self._library.FrankaException, RuntimeError) as error:
+            self.stopped = True
+            if _SILENT in _line(error):
+                raise FciError("the controller is silent; check cable and power, and that FCI is activated in Desk "
+                               f"({_line(error)})") from error
+            raise FciError(f"the controller has stopped the arm: {said(_line(error))}") from error
+
+
+class Knots:
+    """Commands by cycle, and what they make of every millisecond.
+
+    Args:
+        start: where the arm is held ``(7,)`` [rad].
+        steps: milliseconds of a cycle.
+        a_max: acceleration limits ``(7,)`` [rad/s²].
+
+    Attributes:
+        used: cycle of the last command that is in force.
+        late: commands that came when another was in force in their place.
+    """
+
+    def __init__(self, start: Array, steps: int, a_max: Array) -> None:
+        self._steps, self._least = steps, _BRAKES * a_max * (steps * PERIOD)**2
+        self._last = np.tile(start, (4, 1))
+        self._coming: dict[int, Array] = {}
+        self._expected, self._first = np.zeros((0, len(start))), 0
+        self.used, self.late = -1, 0
+
+    def give(self, cycle: int, rows: Array) -> None:
+        """The command of a cycle, and those expected of the cycles behind it ``(m, 7)`` [rad]."""
+        self.late += cycle <= self.used
+        # Of cycles in between, of which no command came, those expected before stand.
+        for k, row in enumerate(self._expected[1 : cycle - self._first], self._first + 1):
+            if k > self.used:
+                self._coming[k] = row
+        if cycle > self.used:
+            self._coming[cycle] = rows[0]
+        self._expected, self._first = rows, cycle
+
+    @property
+    def in_force(self) -> Array:
+        """The last command in force ``(7,)`` [rad]."""
+        return np.asarray(self._last[3])
+
+    @property
+    def rest(self) -> bool:
+        """Whether nothing moves any more."""
+        known = self._coming or self._first + len(self._expected) > self.used + 1
+        return not known and bool(np.array_equal(self._last[0], self._last[3]))
+
+    def at(self, millisecond: int) -> Array:
+        """Joint angles ``(7,)`` [rad] of a millisecond, counted from 1 where the first cycle's command is played.
+
+        The one before the last that was asked for can be asked for again.
+        """
+        while self.used < (millisecond - 1) // self._steps:
+            self._go_on()
+        before = (millisecond - 1) // self._steps < self.used
+        first, middle, last = self._last[:-1] if before else self._last[1:]
+        if self._steps == 1:
+            return last
+        s = (millisecond - (self.used - before) * self._steps) / self._steps
+        return np.asarray(0.5 * ((1 - s)**2 * first + (1 + 2 * s - 2 * s**2) * middle + s**2 * last))
+
+    def _go_on(self) -> None:
+        """The next command comes into force: the one given, or where none is, one nearer to rest."""
+        self.used += 1
+        row, i = self._coming.pop(self.used, None), self.used - self._first
+        if row is None and 0 <= i < len(self._expected):
+            row = self._expected[i]
+        if row is None:
+            step = self._last[3] - self._last[2]
+            count = max(math.ceil(float(np.max(np.abs(step) / self._least))), 1)
+            row = self._last[3] + (1.0 - 1.0 / count) * step
+        self._last = np.vstack([self._last[1:], row])
+
+
+class Report(NamedTuple):
+    """What who computes commands is told of a cycle.
+
+    Attributes:
+        cycle: its number.
+        state: at its end.
+        unanswered: milliseconds so far that had no answer.
+        late: commands so far that came when another was in force in their place.
+    """
+
+    cycle: int
+    state: FciState
+    unanswered: int
+    late: int
+
+
+class Wanted(NamedTuple):
+    """How an arm is to be answered.
+
+    Attributes:
+        host, cartesian, patience: see ``FciMotion``.
+        steps: milliseconds of a cycle.
+        queue: milliseconds after which a command is played.
+        a_max, v_max: limits of the joints ``(7,)`` [rad/s², rad/s].
+    """
+
+    host: str
+    cartesian: bool
+    patience: float
+    steps: int
+    queue: int
+    a_max: Array
+    v_max: Array
+
+
+class Answering:
+    """Answers every millisecond of a motion.
+
+    Where milliseconds were missed the controller has extrapolated: the next ones lead from its setpoint back to the
+    commands.
+
+    Args:
+        motion: the arm's, not yet begun.
+        wanted: how it is to be answered.
+
+    Attributes:
+        knots: the commands; what they are before the motion has begun is of no use.
+    """
+
+    def __init__(self, motion: FciMotion, wanted: Wanted) -> None:
+        self._motion, self._given = motion, wanted
+        # Its plans take longer than a millisecond to make.
+        self._catch_up = CatchUp(wanted.a_max, wanted.v_max, PERIOD)
+        self.knots = Knots(np.zeros(AXES), wanted.steps, wanted.a_max)
+        self._began = self._cycle = self._unanswered = 0
+
+    def begin(self, rows: Array) -> None:
+        """Begins the motion with the first command and those expected behind it ``(m, 7)`` [rad]."""
+        self._state = first = self._motion.begin()
+        self.knots = Knots(first.q_d, self._given.steps, self._given.a_max)
+        self.knots.give(0, rows)
+        self._began, self._wanted, self._step = first.tick, first.q_d, np.zeros(AXES)
+
+    def next(self) -> Report | None:
+        """Answers a millisecond and waits for the next; what is to be told where a cycle has ended."""
+        self._motion.write(self._led_back(self._commanded(self._since + 1)))
+        before, self._state = self._state.tick, self._motion.read()
+        if (missed := max(self._state.tick - before - 1, 0)) > 0:
+            self._unanswered += missed
+            self._missed()
+        if (cycle := self._since // self._given.steps) == self._cycle:
+            return None
+        self._cycle = cycle
+        return Report(cycle, self._state, self._unanswered, self.knots.late)
+
+    def _commanded(self, millisecond: int) -> Array:
+        return self.knots.at(max(millisecond - self._given.queue, 0))
+
+    def _led_back(self, q: Array) -> Array:
+        self._step, self._wanted = q - self._wanted, q
+        return q + self._catch_up.next(self._step) if self._catch_up.active else q
+
+    def _missed(self) -> None:
+        """The way begins from where the controller has the arm to what was wanted in the milliseconds missed."""
+        last = self._commanded(self._since)
+        step = last - self._commanded(self._since - 1)
+        self._catch_up.start(self._state.q_d - last, PERIOD * self._state.dq_d - step, np.zeros(AXES), step)
+        self._wanted, self._step = last, step
+
+    @property
+    def _since(self) -> int:
+        """Milliseconds since the motion has begun."""
+        return self._state.tick - self._began
+
+
+def said(errors: str) -> str:
+    """The controller's errors in words, with what helps; as they are where none is known.
+
+    >>> said('["joint_reflex"]')
+    'a collision was detected: external torque of a joint above its threshold (joint_reflex)'
+    """
+    known = [f"{text} ({name})" for name, text in _SAID.items() if name in errors]
+    return "; ".join(known) or errors
+
+
+def _line(error: BaseException) -> str:
+    """An error of the library on one line."""
+    return " ".join(str(error).split())
+
+
+# The process.
+
+def answer(pipe: Connection) -> None:
+    """Reaches the controller, answers each look with a state, and from the first command on every millisecond.
+
+    What goes through the pipe: ``Wanted``; None for a look, answered by an ``FciState``; ``(cycle, rows)`` for
+    commands. From the first of these on reports come, and the text of an error where the motion has ended. Where the
+    pipe ends the arm is braked where no command is known any more, and the motion ended.
+    """
+    wanted: Wanted = pipe.recv()
+    try:
+        motion = FciMotion(wanted.host, wanted.cartesian, wanted.patience)
+        answering, ended = Answering(motion, wanted), False
+        pipe.send(motion.look())
+        while (told := pipe.recv()) is None:
+            pipe.send(motion.look())
+        _undisturbed()
+        answering.begin(told[1])
+        knots = answering.knots
+        while not (ended and knots.rest):
+            report = answering.next()
+            try:
+                if report is not None and not ended:
+                    pipe.send(report)
+                while not ended and pipe.poll():
+                    knots.give(*pipe.recv())
+            except (EOFError, OSError):
+                ended = True
+        motion.end(knots.in_force)
+    except FciError as error:
+        with suppress(OSError):
+            pipe.send(str(error))
+    except EOFError:
+        return
+
+
+def _undisturbed() -> None:
+    """Nothing is collected while a millisecond waits, and who answers comes before who computes commands."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    if hasattr(os, "sched_setscheduler") and os.sched_getscheduler(0) == os.SCHED_FIFO:
+        priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_FIFO))
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            os.sched_setaffinity(0, range(os.cpu_count() or 1))
+
+
+class Process:
+    """``answer`` in a process of its own.
+
+    Args:
+        wanted: how the arm is to be answered.
+
+    Raises:
+        FciError: see ``FciMotion``.
+
+    Attributes:
+        rest: state of the arm before the motion.
+    """
+
+    def __init__(self, wanted: Wanted) -> None:
+        # Where it is missing that is said here, before there is a process.
+        import pylibfranka  # noqa: F401
+
+        ours, theirs = Pipe()
+        with theirs:
+            self._process = subprocess.Popen([sys.executable, "-c", _PROGRAM, str(theirs.fileno())],
+                                             pass_fds=(theirs.fileno(),), start_new_session=True)
+        self._pipe = ours
+        self._pipe.send(wanted)
+        self.rest: FciState = self._told(wanted.patience + _STARTS)
+
+    def look(self) -> FciState:
+        """The state of an arm that is not led yet."""
+        self._pipe.send(None)
+        state: FciState = self._told(_SILENCE)
+        return state
+
+    def command(self, cycle: int, rows: Array) -> None:
+        """The command of a cycle, and those expected behind it ``(m, 7)`` [rad]."""
+        # Why the process has ended is what it has told last.
+        with suppress(OSError):
+            self._pipe.send((cycle, rows))
+
+    def reports(self) -> list[Report]:
+        """What has come since the last call, at least one; raises FciError where the motion has ended."""
+        reports: list[Report] = [self._told(_SILENCE)]
+        while self._pipe.poll():
+            reports.append(self._told(0.0))
+        return reports
+
+    def end(self) -> None:
+        """Ends the motion at its last command, and the process."""
+        self._pipe.close()
+        try:
+            self._process.wait(_SILENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _told(self, timeout: float) -> Any:
+        try:
+            told = "the process that answers the controller is silent"
+            if self._pipe.poll(timeout):
+                told = self._pipe.recv()
+        except (EOFError, OSError):
+            told = "the process that answers the controller has ended"
+        if isinstance(told, str):
+            self._pipe.close()
+            raise FciError(told)
+        return told
+
+
+class Here:
+    """``Process``, in this process: every millisecond is answered by who computes the commands, between two of them.
+
+    Args:
+        wanted: see ``Process``.
+    """
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._motion = FciMotion(wanted.host, wanted.cartesian, wanted.patience)
+        self._answering, self.rest = Answering(self._motion, wanted), self._motion.look()
+
+    def look(self) -> FciState:
+        """See ``Process``."""
+        return self._motion.look()
+
+    def command(self, cycle: int, rows: Array) -> None:
+        """See ``Process``."""
+        if self._motion.begun:
+            self._answering.knots.give(cycle, rows)
+        else:
+            self._answering.begin(rows)
+
+    def reports(self) -> list[Report]:
+        """See ``Process``."""
+        while (report := self._answering.next()) is None:
+            pass
+        return [report]
+
+    def end(self) -> None:
+        """See ``Process``."""
+        self._motion.end(self._answering.knots.in_force)
+
+
+def main(descriptor: int) -> None:
+    """Runs the process whose pipe is a file descriptor."""
+    # Ctrl-C is for who computes the commands: it brings the arm to rest.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answer(Connection(descriptor))
