@@ -42,6 +42,7 @@ from studies.other_arms import (
     answered_cycle,
     answered_milliseconds,
     crx_urdf,
+    timed_cycle,
     write_fr3,
 )
 from studies.report import head, row
@@ -52,7 +53,8 @@ BEGINS = 60
 _SHARE = 0.02
 """Of messages, where some are lost or come twice."""
 LATE = "2 % of the states 30 ms late"
-"""The fault that a clock decides."""
+TIMED = {("ros2", LATE), ("fanuc", "2 % of the status lost"), ("fanuc", LATE)}
+"""Faults that a clock decides."""
 _SLOWED = 5.0
 """How many times as long every second takes there."""
 _LATE = 0.03
@@ -67,8 +69,8 @@ _LATER = 1.0
 """When it is looked where the arm has ended [s]."""
 Where = Callable[[Any], Array]
 """Where the arm of a controller is in truth ``(n,)`` [rad]."""
-Fault = Callable[[Any, int, np.random.Generator], None]
-"""What is done to a controller before a cycle of the path, from ``BEGINS`` on counted from 0."""
+Fault = Callable[[LinkedRobot, Any, int, np.random.Generator], None]
+"""What is done to link or controller before a cycle of the path, from ``BEGINS`` on counted from 0."""
 
 
 def link_faults(interfaces: Annotated[str, typer.Option(help="With commas between.")] = "fci,fanuc,egm,ros2",
@@ -77,9 +79,9 @@ def link_faults(interfaces: Annotated[str, typer.Option(help="With commas betwee
 
     A controller begins a cycle when the one before was answered: times are the controller's, of silence those of this
     computer; where the program itself brings the arm to rest, the way to rest is in them. The largest acceleration is
-    that of the commands in force at the controller, over the arm's limit, with the hold of a controller that misses
-    one. Where the arm ends a second later is its distance from the path. What is wrong from the beginning is noticed
-    before anything moves. Late messages need a clock, which is slower than this computer's.
+    that of the references that the controller has in force, over the arm's limit, with the hold of a controller that
+    misses one. Where the arm ends a second later is its distance from the path. What is wrong from the beginning is
+    noticed before anything moves. What is noticed by a clock is played by one that is slower than this computer's.
 
     Args:
         interfaces: which ones.
@@ -102,8 +104,8 @@ def play_link(name: str, fault: str, seed: int = 1) -> list[str]:
     if (wrong := FROM_THE_BEGINNING.get(name, {}).get(fault)) is not None:
         with arms(**wrong) as (link, controller):
             return _refused(link, controller, where)
-    with slower(_SLOWED) if fault == LATE else nullcontext(), arms(**{"timed": True} if fault == LATE else {}) as (
-            link, controller):
+    timed = (name, fault) in TIMED
+    with slower(_SLOWED) if timed else nullcontext(), arms(**{"timed": True} if timed else {}) as (link, controller):
         link.connect(_PATIENCE)
         return _played(link, controller, faults[fault], np.random.default_rng(seed), where)
 
@@ -130,15 +132,16 @@ def _played(link: LinkedRobot, controller: Any, begin: Fault, rng: np.random.Gen
     T, home = link.t_ipo, link.commanded.copy()
     u = np.clip(np.arange(round(2.4 / T)) * T / 2.2, 0.0, 1.0)
     q_d = home + 0.25 * np.sin(np.pi * u**3 * (10 - 15 * u + 6 * u**2))[:, None] ** 2
-    received, heard, before, arrived = link.receive, list[RobotState](), dict[str, int](), link.arrived
+    received, heard, before, arrived, last = link.receive, list[RobotState](), dict[str, int](), link.arrived, 0
 
     def receive() -> RobotState:
-        nonlocal arrived
+        nonlocal arrived, last
         if len(heard) >= BEGINS:
-            before.update(asdict(link.counts) if len(heard) == BEGINS else {})
-            begin(controller, len(heard) - BEGINS, rng)
+            if len(heard) == BEGINS:
+                before.update(asdict(link.counts), references=len(controller.references))
+            begin(link, controller, len(heard) - BEGINS, rng)
         heard.append(received())
-        arrived = link.arrived
+        arrived, last = link.arrived, len(controller.references)
         return heard[-1]
 
     link.receive = receive  # type: ignore[method-assign]
@@ -156,33 +159,79 @@ def _played(link: LinkedRobot, controller: Any, begin: Fault, rng: np.random.Gen
     ends = where(controller)
     time.sleep(0.1)
     moves = np.max(np.abs(where(controller) - ends))
+    # What a controller does that has stopped the arm, or that nobody answers any more, is its own.
+    references = np.array(controller.references)[max(before.get("references", 0) - 2, 0) : last + 1]
+    bend = np.abs(np.diff(references, 2, axis=0)) / (_MILLISECOND if isinstance(controller, _Remote) else T)**2
     away = float(np.min(np.max(np.abs(q_d - ends), axis=1)))
-    return [" ".join(said.split()), after, f"{run.details['guard']['acceleration_share']:.2f}", f"{1e3 * away:.1f}",
+    return [" ".join(said.split()), after, f"{np.max(bend / link.robot.a_max, initial=0.0):.2f}", f"{1e3 * away:.1f}",
             "yes" if moves < 1e-4 else "no"]
 
 
 # FANUC's emulated controller.
 
+class _Sent:
+    """The emulated controller's socket, of which status packets can be lost or late.
+
+    Args:
+        own: the socket.
+
+    Attributes:
+        lose, delay: status packets to come that are lost, and that are late.
+    """
+
+    def __init__(self, own: Any) -> None:
+        self._own, self.lose, self.delay = own, 0, 0
+
+    def sendto(self, packet: bytes, peer: Any) -> None:
+        """Sends, later or not at all."""
+        if self.lose:
+            self.lose -= 1
+        elif self.delay:
+            self.delay -= 1
+            threading.Timer(_LATE * _SLOWED, self._own.sendto, (packet, peer)).start()
+        else:
+            self._own.sendto(packet, peer)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._own, name)
+
+
 @contextmanager
-def _fanuc() -> Iterator[tuple[LinkedRobot, Any]]:
+def _fanuc(timed: bool = False) -> Iterator[tuple[LinkedRobot, Any]]:
     from airo_fanuc.testing import FakeCRXConfig, FakeCRXController
 
     with TemporaryDirectory() as folder:
         (Path(folder) / "crx10ial.urdf").write_text(crx_urdf(), encoding="utf-8")
         (Path(folder) / "crx10ial.toml").write_text(CRX_DATA, encoding="utf-8")
         robot = Robot.load(Path(folder) / "crx10ial.urdf")
-        controller = FakeCRXController(FakeCRXConfig(), initial_q_deg=np.append(np.degrees(CRX_HOME), np.zeros(3))
-                                       ).start()
-        ended = threading.Event()
+        controller: Any = FakeCRXController(
+            FakeCRXConfig(), initial_q_deg=np.append(np.degrees(CRX_HOME), np.zeros(3))).start()
+        ended, references = threading.Event(), list[Array]()
+        controller.sm._sock = _Sent(controller.sm._sock)
+        plant, stands = controller.plant, np.degrees(CRX_HOME)
+        commanded, silent = plant.command_step, plant.silence_step
+
+        def command(q: Array, *more: Any) -> None:
+            nonlocal stands
+            stands = np.array(q[: len(stands)])
+            references.append(np.radians(stands))
+            commanded(q, *more)
+
+        def silence(*given: Any, **more: Any) -> None:
+            references.append(np.radians(stands))
+            silent(*given, **more)
+
+        plant.command_step, plant.silence_step = command, silence
 
         def ticks() -> None:
             while not ended.is_set():
-                answered_cycle(controller)
+                (timed_cycle if timed else answered_cycle)(controller)
 
         thread = threading.Thread(target=ticks, daemon=True)
         thread.start()
         try:
             with StreamMotionRobot(robot, "127.0.0.1", port=controller.sm_port, rmi_port=controller.rmi_port) as link:
+                controller.references = references
                 yield link, controller
         finally:
             ended.set()
@@ -192,12 +241,21 @@ def _fanuc() -> Iterator[tuple[LinkedRobot, Any]]:
 
 def _once(act: Callable[[Any], None]) -> Fault:
     """A fault that begins and stays."""
-    return lambda controller, k, rng: act(controller) if k == 0 else None
+    return lambda link, controller, k, rng: act(controller) if k == 0 else None
 
 
 def _often(act: Callable[[Any], None]) -> Fault:
     """A fault of some cycles."""
-    return lambda controller, k, rng: act(controller) if rng.random() < _SHARE else None
+    return lambda link, controller, k, rng: act(controller) if rng.random() < _SHARE else None
+
+
+def _commands_lost(link: LinkedRobot, controller: Any, k: int, rng: np.random.Generator) -> None:
+    """Some commands do not arrive, which no state shows; with FCI those of some milliseconds."""
+    if k == 0:
+        owner: Any = link._arm._motion if isinstance(link, FciRobot) else link  # type: ignore[union-attr]
+        name = "write" if isinstance(link, FciRobot) else "_handed_over"
+        hand_over = getattr(owner, name)
+        setattr(owner, name, lambda q: None if rng.random() < _SHARE else hand_over(q))
 
 
 def _trip(controller: Any) -> None:
@@ -225,11 +283,36 @@ def _kr6() -> Iterator[SimulatedArm]:
         yield arm
 
 
+def _references(controller: Any) -> None:
+    """Notes what a controller around a simulated arm has in force, as its ``references``."""
+    controller.references = list[Array]()
+    cycle = controller.arm.cycle
+
+    def noting(reference: Array) -> RobotState:
+        controller.references.append(np.array(reference))
+        state: RobotState = cycle(reference)
+        return state
+
+    controller.arm.cycle = noting
+
+
 @contextmanager
 def _egm() -> Iterator[tuple[LinkedRobot, Any]]:
     with _kr6() as arm, EgmRobot(arm.robot, port=0) as link:
         controller = EgmController(arm, link.address, timeout=ANSWER_WITHIN)
-        controller.disturbance = lambda cycle, message: [message] * len(_Wire.next())
+        delayed, cycles = list[tuple[int, Any]](), round(_LATE / arm.t_ipo)
+
+        def disturbance(cycle: int, message: Any) -> list[Any]:
+            sent = [message for due, message in delayed if due == cycle]
+            for delay in _Wire.next():
+                if delay:
+                    delayed.append((cycle + cycles, message))
+                else:
+                    sent.append(message)
+            return sent
+
+        controller.disturbance = disturbance
+        _references(controller)
         _Wire.delays.clear()
         thread = threading.Thread(target=controller.run, daemon=True)
         thread.start()
@@ -255,6 +338,7 @@ def _ros2(timed: bool = False, **wrong: Any) -> Iterator[tuple[LinkedRobot, Any]
     """Where ``timed``, cycles have a length, and do not end with an answer; ``wrong`` as of ``Ros2Arm``."""
     with _kr6() as arm:
         controllers = Ros2Arm(arm, delivered=lambda cycle: _Wire.next(), **wrong)
+        _references(controllers)
         _Wire.delays.clear()
         thread = threading.Thread(target=controllers.play, kwargs={"slowed": float(timed)}, daemon=True)
         thread.start()
@@ -299,9 +383,14 @@ def _late(controllers: Any) -> None:
     _Wire.delays.append([_LATE])
 
 
+def _add(name: str, count: int = 1) -> Callable[[Any], None]:
+    """So many further status packets are lost or late."""
+    return lambda controller: setattr(controller.sm._sock, name, getattr(controller.sm._sock, name) + count)
+
+
 # The FR3 of ``franky-sim``, whose controller has no reflexes: what a client is told of one is sent.
 
-_HOST, _CYCLE = "127.0.0.79", 0.008
+_HOST, _CYCLE, _MILLISECOND = "127.0.0.79", 0.008, 1e-3
 _JOINT_REFLEX = 6
 """Place of a collision among libfranka's errors."""
 
@@ -319,13 +408,19 @@ class _Franka:
     def __init__(self, server: Any) -> None:
         (self._robot,) = server.robot_servers
         self.heard, self._lost, self._send = True, 0, self._robot.send_state
+        self._commanded = list[list[float]]()
         self._robot.send_state = self._send_state
 
     def lose(self, states: int) -> None:
         """So many of the coming states are lost."""
         self._lost = states
 
+    def commanded(self) -> list[list[float]]:
+        """Commands in force, millisecond by millisecond [rad]."""
+        return self._commanded
+
     def _send_state(self) -> None:
+        self._commanded.append(list(self._robot.robot.state.q_d))
         self.heard = not self._lost
         if self.heard:
             self._send()
@@ -392,6 +487,11 @@ class _Remote:
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
 
+    @property
+    def references(self) -> Any:
+        """Commands in force, millisecond by millisecond [rad]."""
+        return self.asked("commanded")
+
     def asked(self, *words: Any) -> Any:
         """What the controller answers."""
         self._pipe.send(words)
@@ -408,7 +508,7 @@ def _fci() -> Iterator[tuple[LinkedRobot, Any]]:
         pipe.recv()
         with TemporaryDirectory() as folder:
             robot = replace(Robot.load(write_fr3(Path(folder))), t_ipo=_CYCLE)
-            with FciRobot(robot, _HOST) as link:
+            with FciRobot(robot, _HOST, queue=0.0) as link:
                 yield link, _Remote(pipe)
     finally:
         pipe.send(("end",))
@@ -425,13 +525,16 @@ FAULTS: dict[str, tuple[Callable[..., Any], Where, dict[str, Fault]]] = {
         "nothing": _once(lambda c: None),
         "2 % of the states lost": _often(lambda c: c.asked("lose", 1)),
         "10 states lost in a row": _once(lambda c: c.asked("lose", 10)),
+        "2 % of the commands lost": _commands_lost,
         "reflex: collision": _once(_aborted("kReflexAborted")),
         "user stop": _once(_aborted("kEmergencyAborted")),
         "silence": _once(lambda c: c.asked("lose", 10**9)),
     }),
     "fanuc": (_fanuc, lambda c: np.radians(c.plant.snapshot_deg()[0][:6]), {
         "nothing": _once(lambda c: None),
-        "2 % of the status lost": _often(lambda c: c.sm.inject_seq_gap(1)),
+        "2 % of the status lost": _often(_add("lose")),
+        LATE: _often(_add("delay")),
+        "2 % of the commands lost": _commands_lost,
         "2 % doubled": _often(lambda c: c.sm.duplicate_next_status()),
         "watchdog: stop error excess": _once(_trip),
         "emergency stop": _once(_stop),
@@ -441,6 +544,8 @@ FAULTS: dict[str, tuple[Callable[..., Any], Where, dict[str, Fault]]] = {
     "egm": (_egm, lambda c: c.arm.truth.q_m.copy(), {
         "nothing": _once(lambda c: None),
         "2 % of the messages lost": _often(_sends(0)),
+        LATE: _often(_late),
+        "2 % of the commands lost": _commands_lost,
         "2 % doubled": _often(_sends(2)),
         "EGM reports an error": _once(lambda c: setattr(c, "mci", MCI_ERROR)),
         "the program stops": _once(lambda c: setattr(c, "rapid", RAPID_STOPPED)),
@@ -449,9 +554,10 @@ FAULTS: dict[str, tuple[Callable[..., Any], Where, dict[str, Fault]]] = {
     "ros2": (_ros2, lambda c: c.arm.truth.q_m.copy(), {
         "nothing": _once(lambda c: None),
         "2 % of the states lost": _often(_sends(0)),
+        "2 % of the commands lost": _commands_lost,
         "2 % doubled": _often(_sends(2)),
         "a second publisher of commands": _once(_second_publisher),
-        "time stands": _once(lambda c: setattr(c, "frozen", True)),
+        "time stands (/clock)": _once(lambda c: setattr(c, "frozen", True)),
         LATE: _often(_late),
         "the publisher falls silent": _once(lambda c: setattr(c, "silent", True)),
         "the publisher dies": _once(_dies),
