@@ -10,7 +10,7 @@ far it stands above what the class cannot say, however long the recording is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -509,13 +509,24 @@ class BestSet:
     def _removed(self) -> bool:
         if len(self.choices) < 2:
             return False
-        nats = [self.better(self.choices, [c for c in self.choices if c is not choice])
-                for choice in self.choices]
-        worst = int(np.argmin(nats))
-        if nats[worst] >= 0.5 * ACCEPT:
-            return False
-        self.take([c for k, c in enumerate(self.choices) if k != worst])
-        return True
+        gone = self.taken_out(lambda rests: [self.better(self.choices, rest) for rest in rests], 0.5 * ACCEPT)
+        return gone is not None
+
+    def taken_out(self, gains: Callable[[list[list[Candidate]]], Sequence[float]], least: float) -> Candidate | None:
+        """Takes the cause that gains least out of the set and returns it; None where it gains ``least`` or more.
+
+        Args:
+            gains: by how much the set is better than each of the sets without one of its causes.
+            least: see above.
+        """
+        rests = [[c for c in self.choices if c is not choice] for choice in self.choices]
+        gained = gains(rests)
+        worst = int(np.argmin(gained))
+        if gained[worst] >= least:
+            return None
+        choice = self.choices[worst]
+        self.take(rests[worst])
+        return choice
 
     def _exchanged(self) -> bool:
         for choice in self.choices:

@@ -199,14 +199,8 @@ def _without_needless(best: BestSet, gains: Callable[[list[list[Candidate]]], Se
         least: see above.
     """
     gone: list[Candidate] = []
-    while best.choices:
-        rests = [[c for c in best.choices if c is not choice] for choice in best.choices]
-        gained = gains(rests)
-        worst = int(np.argmin(gained))
-        if gained[worst] >= least:
-            break
-        gone.append(best.choices[worst])
-        best.take(rests[worst])
+    while best.choices and (choice := best.taken_out(gains, least)) is not None:
+        gone.append(choice)
     return tuple(gone)
 
 

@@ -217,8 +217,9 @@ class FrictionAdaptation:
         state = state._replace(**own._asdict())
         if not informed:
             return state
-        values, mass, friction = _applied(self._known, own.x)
-        return state._replace(values=values, mass=mass, friction=friction)
+        known = self._known
+        values, friction = _applied(known.friction, known.terms, own.x)
+        return state._replace(values=values, mass=known.mass * float(own.x[-1]), friction=friction)
 
     def _further(self, window: Window) -> Array:
         """Torque of further effects in the middle of a full window ``(n,)`` [N m]."""
@@ -288,14 +289,14 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, z: float, h: A
 
 
 @jit()
-def _applied(known: _Known, x: Array) -> tuple[Array, float, Friction]:
-    """Values of friction's terms ``(n, TERMS)``, the mass [kg], and friction with them."""
-    n, common = len(known.dry), x[len(x) - _COMMON :]
+def _applied(friction: Friction, terms: Array, x: Array) -> tuple[Array, Friction]:
+    """Values of friction's terms ``(n, TERMS)``, and friction with them, by the parameters ``x (p,)``."""
+    n, common = len(terms), x[len(x) - _COMMON :]
     values = np.empty((n, TERMS))
     for i in range(n):
         values[i] = OWN * x[i * _OWN : i * _OWN + TERMS]
         values[i, :2] += SHARED * common[:2]
-    return values, known.mass * common[2], with_terms(known.friction, known.terms, values)
+    return values, with_terms(friction, terms, values)
 
 
 class AdaptedState(NamedTuple):

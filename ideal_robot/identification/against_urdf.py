@@ -91,10 +91,8 @@ _STEPS = 4
 """Of the noise's sizes: four give the evidence within 3 nats of where 16 end, where it is near the best at all."""
 _TURNS = (0.03, 0.1, 0.3)
 """Dry friction turns over within such shares of a joint's top speed: at once on a quick motion, late on a slow one."""
-_HELD = 0.05
-"""Torque that dry friction holds while a joint stands, over the torque that is allowed: gears of arms have 3 to 8 %."""
-_RUBS = 0.15
-"""Spread of a joint's friction over the torque that is allowed: dry 3 to 8 %, and as much again at speed."""
+_DRY = 0.08
+"""Dry friction over the torque that is allowed, at most: gears of arms have 3 to 8 %, and as much again at speed."""
 _BEYOND = np.log(1.5)
 """Spread of ln of the largest torque beyond what is allowed: drives give more than a data sheet's for a moment."""
 _OWN = 3 + len(_TURNS)
@@ -229,13 +227,13 @@ class _Rows:
             column -= dry * np.sum(column * dry, axis=0) / np.maximum(np.sum(dry * dry, axis=0), 1e-12)
         pushed = _pushed(recording, robot, s, stride)
         # A joint that hardly moves shows a constant that its dry friction holds.
-        size = np.hypot(scale, _HELD * robot.tau_max)
+        size = np.hypot(scale, _DRY * robot.tau_max)
         # The acceleration's own column has half of the torque's spread, friction too; their sign is what is known.
         X = [np.column_stack([*(np.hstack([one[:, i] @ root, pushed[:, i] * (k == 0)]) for k, one in enumerate(bodies)),
                               *(scale[i] * column[:, i] for column in own),
                               np.full(len(y), size[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
         P, least = root.shape[1] + pushed.shape[2], np.maximum(_MISFIT * scale, 1e-300)
-        rubs = _RUBS * robot.tau_max[:, None] / np.maximum(scale, 1e-300)
+        rubs = 2.0 * _DRY * robot.tau_max[:, None] / np.maximum(scale, 1e-300)
         largest = np.quantile(np.abs(recording.joints("tau")), 0.99, axis=0)
         peaks = np.log(np.maximum(largest, 1e-300) / robot.tau_max[:, None])
         shares = _in_round_steps(recording.joints("tau")[:, live])
