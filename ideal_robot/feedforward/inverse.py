@@ -40,7 +40,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.feedforward.base import SETTLE, CommandLimits, Feedforward
 from ideal_robot.feedforward.command_path import command_path_inverse
-from ideal_robot.feedforward.path_operators import Operators
+from ideal_robot.feedforward.path_operators import spline_operators
 from ideal_robot.friction.table import Friction, Presliding, friction_along
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import loop_model
@@ -91,6 +91,30 @@ _CUTOFF = 14.0
 as far, fast lines a quarter further; twice as much gains nothing."""
 
 
+class _Operators:
+    """Matrices that give a path's value and first two derivatives, applied together.
+
+    Args:
+        value, first, second: each ``(k, m)``.
+    """
+
+    def __init__(self, value: Array, first: Array, second: Array) -> None:
+        self.value, self._together = value, np.concatenate([value, first, second])
+
+    @classmethod
+    def smoothing(cls, t_samples: Array, t_out: Array, spacing: float, cutoff: float) -> _Operators:
+        """The operators that smooth a path.
+
+        Args:
+            t_samples, t_out, spacing, cutoff: as of ``spline_operators``.
+        """
+        return cls(*spline_operators(t_samples, t_out, spacing, cutoff))
+
+    def of(self, rows: Array) -> Array:
+        """Values and derivatives of rows ``(m, n)``, shape ``(3, k, n)``."""
+        return (self._together @ rows).reshape(3, -1, rows.shape[1])
+
+
 class _Grid(NamedTuple):
     """Where the inverse evaluates a path, and the linear operators that do it.
 
@@ -110,9 +134,9 @@ class _Grid(NamedTuple):
     fine: Array
     step: float
     last: int
-    at_coarse: Operators
-    at_fine: Operators
-    torque: Operators
+    at_coarse: _Operators
+    at_fine: _Operators
+    torque: _Operators
 
 
 def _complete_grid(loop: Loop) -> _Grid:
@@ -125,8 +149,8 @@ def _complete_grid(loop: Loop) -> _Grid:
     # A position-loop output acts on average half its cycle later: torques are wanted there.
     t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * COMMANDS_TOGETHER)) + 0.5)
     return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1,
-                 Operators.smoothing(t_rows, t_coarse, T, _CUTOFF), Operators.smoothing(t_rows, t_fine, T, _CUTOFF),
-                 Operators.smoothing(t_coarse, t_fine, T, _CUTOFF))
+                 _Operators.smoothing(t_rows, t_coarse, T, _CUTOFF), _Operators.smoothing(t_rows, t_fine, T, _CUTOFF),
+                 _Operators.smoothing(t_coarse, t_fine, T, _CUTOFF))
 
 
 def _printed_grid(loop: Loop, lead: float) -> _Grid:
@@ -134,10 +158,10 @@ def _printed_grid(loop: Loop, lead: float) -> _Grid:
     T = loop.t_ipo
     rows = int(np.ceil(lead / T)) + ROWS_AFTER + 1
     t_coarse = lead + T * np.array([-1.0, 0.0, 1.0])
-    at_coarse = Operators.smoothing(T * np.arange(-ROWS_BEFORE, rows, dtype=float), t_coarse, T, _CUTOFF)
+    at_coarse = _Operators.smoothing(T * np.arange(-ROWS_BEFORE, rows, dtype=float), t_coarse, T, _CUTOFF)
     differences = [np.array([[0.0, 1.0, 0.0]]), np.array([[-0.5, 0.0, 0.5]]) / T, np.array([[1.0, -2.0, 1.0]]) / T**2]
     return _Grid(rows, t_coarse, t_coarse[1:2], T, 0, at_coarse,
-                 Operators(*(difference @ at_coarse.value for difference in differences)), Operators(*differences))
+                 _Operators(*(difference @ at_coarse.value for difference in differences)), _Operators(*differences))
 
 
 def command_lag(loop: Loop) -> float:

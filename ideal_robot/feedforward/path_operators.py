@@ -40,27 +40,3 @@ def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: flo
     fit = np.linalg.solve(B.T @ B + weight * differences.T @ differences, B.T)
     return [np.ascontiguousarray(basis.derivative(order)(t_out) @ fit if order else basis(t_out) @ fit)
             for order in range(orders)]
-
-
-class Operators:
-    """Matrices that give a path's value and first two derivatives, applied together.
-
-    Args:
-        value, first, second: each ``(k, m)``.
-    """
-
-    def __init__(self, value: Array, first: Array, second: Array) -> None:
-        self.value, self._together = value, np.concatenate([value, first, second])
-
-    @classmethod
-    def smoothing(cls, t_samples: Array, t_out: Array, spacing: float, cutoff: float) -> Operators:
-        """The operators that smooth a path.
-
-        Args:
-            t_samples, t_out, spacing, cutoff: as of ``spline_operators``.
-        """
-        return cls(*spline_operators(t_samples, t_out, spacing, cutoff))
-
-    def of(self, rows: Array) -> Array:
-        """Values and derivatives of rows ``(m, n)``, shape ``(3, k, n)``."""
-        return (self._together @ rows).reshape(3, -1, rows.shape[1])

@@ -11,10 +11,12 @@ and load give:
             F(k) = s D + \big(F(k-1) - s D\big)\, e^{-|\Delta q| / d}, \qquad s = \mathrm{sign}\,\Delta q
 
   with the **presliding distance** d. Load leaves it: a contact that carries more has more places that touch, each as
-  stiff as before, so the stiffness D/d grows with D. What makes friction another one, temperature, wear, a cause that
-  was found, leaves the stiffness (``ideal_robot.friction.table.distance_with``). F is the **presliding state** [N m].
-  It needs no time and no velocity, stays at rest as it is, and does not jump where D does. Where no presliding is
-  known, d is zero and the force jumps with the direction of motion;
+  stiff as before, so the stiffness D/d grows with D, and a law stays linear. (LuGre's bristles are as stiff under any
+  load. Measured arms do not decide: 25 predictions of a UR10e's torques differ by 0.5 ± 0.7 %.) What makes friction
+  another one, temperature, wear, a cause that was found, leaves the stiffness
+  (``ideal_robot.friction.table.distance_with``). F is the **presliding state** [N m]. It needs no time and no velocity,
+  stays at rest as it is, and does not jump where D does. Where no presliding is known, d is zero and the force jumps
+  with the direction of motion;
 * *fluid* friction of size :math:`V(|\dot q|)`, which acts at once,
 
 .. math:: \tau_f = F + V \,\mathrm{sign}\,\dot q .
