@@ -128,7 +128,8 @@ def crx(folder: Path, *, slowed: float = 1.0, lag: tuple[float, float] | None = 
     (folder / "crx10ial.urdf").write_text(crx_urdf(), encoding="utf-8")
     (folder / "crx10ial.toml").write_text(CRX_DATA, encoding="utf-8")
     with _served("crx", str(slowed), *(() if lag is None else map(str, (*lag, drifts)))) as ports:
-        yield "fanuc://127.0.0.1:{}?rmi={}".format(*ports.split()), folder / "crx10ial.urdf"
+        waits = "" if slowed else "&waits=1"
+        yield "fanuc://127.0.0.1:{}?rmi={}".format(*ports.split()) + waits, folder / "crx10ial.urdf"
 
 
 @contextmanager
@@ -344,13 +345,13 @@ def _rtde(arm: Any, port: int) -> None:
 
 
 def _egm(arm: Any, port: int) -> None:
-    print(f"egm://127.0.0.1:{port}", flush=True)
+    print(f"egm://127.0.0.1:{port}?waits=1", flush=True)
     EgmController(arm, ("127.0.0.1", port), timeout=ANSWER_WITHIN).run()
 
 
 def _ros2(arm: Any, port: int) -> None:
     controllers = Ros2Arm(arm)
-    print("ros2://", flush=True)
+    print("ros2://?waits=1", flush=True)
     controllers.play(slowed=0.0)
 
 

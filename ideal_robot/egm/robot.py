@@ -62,6 +62,7 @@ class EgmRobot(LinkedRobot):
             raise InputError(f"EGM moves arms with {_OWN} or {_OWN + 1} joints that turn", field="robot",
                              value=f"{robot.name}: {robot.n}")
         super().__init__(robot, bridge, answers_within)
+        self.horizon = self.max_lost
         self._timeout = timeout
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -112,24 +113,28 @@ class EgmRobot(LinkedRobot):
         return None
 
     def _handed_over(self, q_c: Array) -> None:
-        self._answer(q_c)
+        self._answer(self._with_ahead(q_c)[0])
 
     def _received(self) -> RobotState:
         """See ``LinkedRobot.receive``: waits for the next message.
 
         Raises EgmError for silence, an arm that the controller has stopped, more missed than can be bridged.
         """
-        deadline = Deadline.within(self._timeout)
+        deadline, late = Deadline.within(self._timeout), 0
         while True:
-            message = self._next(deadline)
+            message = self._awaited(deadline, self._read, lambda q, ahead: self._answer(q))
+            message = self._next(deadline) if message is None else message
             since = cycles_since(message.header.seqno, self._number)
-            if since > 0:
+            if since > self._stood_in:
                 break
             self.counts.repeated += since == 0
             self.counts.outdated += since < 0
+            # It came after all, when its answer had gone out.
+            late += since > 0
         if (reason := self._stopped(message)) is not None:
             raise EgmError(f"the controller has stopped the arm: {reason}")
-        self._bridged(since)
+        self._bridged(since, late, self._stood_in)
+        self._came()
         self._number = message.header.seqno
         self._check_pace(message.header.tm)
         return self._state(message)
@@ -169,14 +174,18 @@ class EgmRobot(LinkedRobot):
 
     def _next(self, deadline: Deadline) -> Any:
         """The newest message of the controller; raises EgmError for silence."""
-        self._newest = None
-        try:
-            found = read_waiting(self._socket, deadline, self._taken)
-        except OSError as error:
-            raise EgmError(f"the system does not let the port be read any more ({error})") from error
-        if not found:
+        if (message := self._read(deadline)) is None:
             raise EgmError("no message of a controller; check the UDPUC device's remote address and port, that EGM "
                            "is active in its program, and the network")
+        return message
+
+    def _read(self, deadline: Deadline) -> Any:
+        """The newest message that is there; None where none comes by the deadline."""
+        self._newest = None
+        try:
+            read_waiting(self._socket, deadline, self._taken)
+        except OSError as error:
+            raise EgmError(f"the system does not let the port be read any more ({error})") from error
         return self._newest
 
     def _taken(self, packet: bytes, sender: Any) -> bool:
@@ -233,12 +242,14 @@ class EgmRobot(LinkedRobot):
 
 
 def opened(address: Address, robot: Robot, settings: LinkSettings) -> EgmRobot:
-    """Listens on ``egm://host:port`` of this computer for a controller; raises InputError where it cannot.
+    """Listens on ``egm://host:port?waits=0`` of this computer for a controller; raises InputError where it cannot.
 
     Args:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
-    address.knows()
+    address.knows("waits")
     # Without a host on every address of this computer, as the controller is told one of them.
     host, port = address.at(PORT, "0.0.0.0")
-    return EgmRobot(robot, host=host, port=port, **settings.given())
+    link = EgmRobot(robot, host=host, port=port, **settings.given())
+    link.clocked = not address.number("waits", 0, 0, 1)
+    return link

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -408,6 +408,9 @@ _EVEN, _EVENLY = 0.25, 0.8
 """… which is within this share of the cycle, this share of them."""
 
 
+Packet = TypeVar("Packet")
+
+
 class LinkedRobot(ABC):
     """A ``RobotInterface`` to an arm behind a link on which cycles may be missed.
 
@@ -435,6 +438,8 @@ class LinkedRobot(ABC):
         speed: share of the path's speed that the controller lets the arm have now: its override.
         paused: why the controller holds the arm for a while; None while it does not.
         notes: what the controller told that its user shall know.
+        clocked: whether the controller keeps time, so that a packet that does not come is lost; a simulated one may
+            wait for each answer.
         ahead: expected commands of the cycles behind the next one, ``(horizon, n)`` [rad], for that one; None where
             they are not known: then the arm is expected to come to rest.
     """
@@ -444,6 +449,7 @@ class LinkedRobot(ABC):
     horizon: int = 0
     speed: float = 1.0
     paused: str | None = None
+    clocked: bool = True
     notes: tuple[str, ...] = ()
     unanswered: tuple[RobotState, ...] = ()
     ahead: Array | None = None
@@ -582,23 +588,44 @@ class LinkedRobot(ABC):
         """Until when the next packet is waited for before an expected command goes out in its place.
 
         A packet that is lost would leave the controller without a command for a cycle, in which it holds the arm. Where
-        packets come evenly this computer's clock shows it half a cycle later, which is in time. Controllers that wait
-        for their answers do not come evenly, and are waited for.
+        packets come evenly this computer's clock shows it half a cycle later, which is in time.
 
         Args:
             deadline: until when it is waited for at all.
         """
         intervals = np.diff(self._arrivals)
         even = np.abs(intervals - self.t_ipo) < _EVEN * self.t_ipo
-        if np.count_nonzero(even) < _EVENLY * (_ARRIVALS - 1) or self._stood_in >= self.horizon or not self._led:
+        if np.count_nonzero(even) < _EVENLY * (_ARRIVALS - 1) or not self.clocked or self._braked:
             return deadline
         due = self._arrivals[-1] + (self._stood_in + 1.5) * self.t_ipo
         return Deadline(deadline.seconds, min(due, deadline.end))
 
-    def _expected_command(self) -> Array:
-        """The command ``(n,)`` [rad] that goes out in place of the next one, whose packet has not come."""
-        self._stood_in += 1
-        return np.asarray(self._told[self._stood_in])
+    def _awaited(self, deadline: Deadline, read: Callable[[Deadline], Packet | None],
+                 hand_over: Callable[[Array, int], None]) -> Packet | None:
+        """The next packet; None where it has to be waited for without a command in its place, see ``_next_due``.
+
+        Args:
+            deadline: until when it is waited for at all.
+            read: reads what is there until another deadline; None where nothing came.
+            hand_over: commands joint angles ``(n,)`` [rad] of a cycle, counted from the last packet.
+        """
+        while (due := self._next_due(deadline)) is not deadline and not deadline.passed:
+            if (packet := read(due)) is not None:
+                return packet
+            if due.passed:
+                self._stood_in += 1
+                if self._stood_in == len(self._told):
+                    # Of a path of which no more is known the arm is brought to rest.
+                    step = self._told[-1] - self._told[-2]
+                    count = max(math.ceil(float(np.max(np.abs(step) / (self._room * self.t_ipo**2)))), 1)
+                    self._told = np.vstack([self._told, self._told[-1] + (1.0 - 1.0 / count) * step])
+                hand_over(self._told[self._stood_in], self._stood_in)
+        return None
+
+    @property
+    def _braked(self) -> bool:
+        """Whether the commands in place of packets that do not come have come to rest."""
+        return self._stood_in > self.horizon and bool(np.array_equal(self._told[-1], self._told[-2]))
 
     def _came(self) -> None:
         """A packet has come that is to be answered."""
@@ -607,6 +634,8 @@ class LinkedRobot(ABC):
 
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""
+        self._arrivals.clear()
+        self._stood_in = 0
         self._stood = measured
         self.commanded = self._wanted = commanded
         self._step, self._lost, self._led = np.zeros(self.robot.n), None, False

@@ -62,7 +62,7 @@ class Ros2Robot(LinkedRobot):
                              value=", ".join(joints)[:80])
         super().__init__(robot, bridge, answers_within)
         self.states, self.commands, self.trajectory = states, commands, trajectory
-        self.horizon = max(math.ceil(HORIZON / robot.t_ipo), 2) if trajectory else 0
+        self.horizon = max(math.ceil(HORIZON / robot.t_ipo), 2) if trajectory else self.max_lost
         self._names, self._order = names, [names.index(name) for name in joints or names]
         self._timeout, self._sim_time, self._subnet = timeout, sim_time, subnet
         self._node: Node | None = None
@@ -110,17 +110,35 @@ class Ros2Robot(LinkedRobot):
         return self._joint_states.positions(message)
 
     def _handed_over(self, q_c: Array) -> None:
-        self._publisher.publish(self._trajectory(q_c) if self.trajectory
-                                else self._message(data=q_c[self._order].tolist()))
+        if self.trajectory:
+            self._publisher.publish(self._trajectory(q_c))
+        else:
+            self._publish(self._with_ahead(q_c)[0])
+
+    def _publish(self, q: Array) -> None:
+        """Commands joint angles ``(n,)`` [rad] from now on."""
+        self._publisher.publish(self._message(data=q[self._order].tolist()))
 
     def _received(self) -> RobotState:
         """See ``LinkedRobot.receive``: waits for the next joint state.
 
         Raises Ros2Error for silence, stamps that stand still, more missed than can be bridged.
         """
-        *older, message = self._next(self._timeout)
-        since = round((self._stamp(message) - self._last) / self.t_ipo)
-        self._bridged(since, len(older))
+        deadline, older = Deadline.within(self._timeout), list[Any]()
+        while True:
+            messages = None
+            if not self.trajectory:
+                messages = self._awaited(deadline, self._read, lambda q, ahead: self._publish(q))
+            *more, message = self._next(self._timeout) if messages is None else messages
+            older += more
+            since = round((self._stamp(message) - self._last) / self.t_ipo)
+            if since > self._stood_in:
+                break
+            # It came after all, when its answer had gone out.
+            older.append(message)
+        # A controller of trajectories goes on along the horizon that it has.
+        self._bridged(since, len(older), None if self.trajectory else self._stood_in)
+        self._came()
         self.unanswered = tuple(self._state(one) for one in older)
         self._last = self._stamp(message)
         self._check_others()
@@ -136,6 +154,15 @@ class Ros2Robot(LinkedRobot):
         """Joint states that have come, the newest last; raises Ros2Error where none comes in time [s]."""
         assert self._joint_states is not None
         messages, arrived = zip(*self._joint_states.next(timeout), strict=True)
+        self.arrived = arrived[-1]
+        return list(messages)
+
+    def _read(self, deadline: Deadline) -> list[Any] | None:
+        """Joint states that are there; None where none comes by the deadline."""
+        assert self._joint_states is not None
+        if not (taken := self._joint_states.waiting(deadline.left)):
+            return None
+        messages, arrived = zip(*taken, strict=True)
         self.arrived = arrived[-1]
         return list(messages)
 
@@ -189,13 +216,15 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> Ros2Robot:
     Args:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
-    address.knows("states", "commands", "trajectory", "joints", "sim_time", "discovery")
+    address.knows("states", "commands", "trajectory", "joints", "sim_time", "discovery", "waits")
     options = address.options
     if "commands" in options and "trajectory" in options:
         raise InputError("expected either commands or trajectory", field=address.option, value=address.text[:80])
     namespace = address.host + address.path
-    return Ros2Robot(
+    link = Ros2Robot(
         robot, full_name(namespace, options.get("states", STATES)),
         full_name(namespace, options.get("trajectory") or options.get("commands") or COMMANDS),
         trajectory="trajectory" in options, joints=tuple(filter(None, options.get("joints", "").split(","))),
         **discovered(address), **settings.given())
+    link.clocked = not address.number("waits", 0, 0, 1)
+    return link

@@ -62,9 +62,9 @@ class JointStates:
                 raise Ros2Error(self._silent(timeout, self._counts.outdated > outdated, self._counts.partial > partial))
         return self.waiting()
 
-    def waiting(self) -> list[tuple[Any, float]]:
-        """Messages that have come since the last call, if any; see ``next``."""
-        self._node.spin(0.0)
+    def waiting(self, timeout: float = 0.0) -> list[tuple[Any, float]]:
+        """Messages that have come since the last call, if any comes within ``timeout`` [s]; see ``next``."""
+        self._node.spin(timeout)
         taken = list(self._taken)
         self._taken.clear()
         return taken
@@ -160,7 +160,7 @@ def reader(address: Address, robot: Robot, patience: float) -> Ros2Reader:
         InputError: another option.
         Ros2Error: see ``Ros2Reader``.
     """
-    address.knows("states", "commands", "trajectory", "joints", "sim_time", "discovery")
+    address.knows("states", "commands", "trajectory", "joints", "sim_time", "discovery", "waits")
     return Ros2Reader(robot, full_name(address.host + address.path, address.options.get("states", STATES)), patience,
                       **discovered(address))
 

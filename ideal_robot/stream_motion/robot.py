@@ -145,7 +145,8 @@ class StreamMotionRobot(LinkedRobot):
         deadline = Deadline.within(self._timeout)
         late = 0
         while True:
-            status = self._awaited(deadline)
+            status = self._awaited(deadline, self._read, lambda q, ahead: self._command(q, False, ahead))
+            status = self._next(deadline) if status is None else status
             since = cycles_since(int(status["sequence_no"]), self._number)
             if since > self._stood_in:
                 break
@@ -211,23 +212,16 @@ class StreamMotionRobot(LinkedRobot):
         packet = self._core.encode_command_packet((self._number + ahead) % 2**32, last, 1, angles)
         self._tell(_HEADER.pack(_COMMAND, self._version) + packet[_HEADER.size:])
 
-    def _awaited(self, deadline: Deadline) -> dict[str, Any]:
-        """The next status; where it does not come in time its number is answered by the command expected for it."""
-        assert self._socket is not None
-        while (due := self._next_due(deadline)) is not deadline and not deadline.passed:
-            if read_waiting(self._socket, due, self._taken, 2048):
-                return self._newest
-            if due.passed:
-                q = self._expected_command()
-                self._command(q, last=False, ahead=self._stood_in)
-        return self._next(deadline)
-
     def _next(self, deadline: Deadline) -> dict[str, Any]:
         """The newest status that is one; raises StreamMotionError for silence."""
-        assert self._socket is not None
-        if not read_waiting(self._socket, deadline, self._taken, 2048):
+        if (status := self._read(deadline)) is None:
             raise StreamMotionError("the controller is silent; its program has ended, or the network is gone")
-        return self._newest
+        return status
+
+    def _read(self, deadline: Deadline) -> dict[str, Any] | None:
+        """The newest status that is there; None where none comes by the deadline."""
+        assert self._socket is not None
+        return self._newest if read_waiting(self._socket, deadline, self._taken, 2048) else None
 
     def _taken(self, packet: bytes, sender: Any) -> bool:
         self.arrived, status = time.perf_counter(), self._decoded(packet)
@@ -291,7 +285,9 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> StreamMoti
     Args:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
-    address.knows("rmi", "j23")
+    address.knows("rmi", "j23", "waits")
     host, port = address.at(PORT)
-    return StreamMotionRobot(robot, host, port=port, rmi_port=int(address.number("rmi", RMI_PORT, 1, 65535)),
+    link = StreamMotionRobot(robot, host, port=port, rmi_port=int(address.number("rmi", RMI_PORT, 1, 65535)),
                              j23=address.number("j23", -float(robot.counted[2, 1]), -1.0, 1.0), **settings.given())
+    link.clocked = not address.number("waits", 0, 0, 1)
+    return link

@@ -250,7 +250,8 @@ class EgmController:
                 sent = [message] if self.disturbance is None else self.disturbance(k, message)
                 end = time.perf_counter() + (self.arm.t_ipo if self.timeout is None else self.timeout)
                 sent_when_open(link, sent, end, self._stopped.is_set)
-                wanted = self.answer(link, end) if sent else None
+                # By its clock it listens whatever it has sent.
+                wanted = self.answer(link, end) if sent or self.timeout is None else None
                 if self._stopped.is_set():
                     run.ended = "stopped"
                     break

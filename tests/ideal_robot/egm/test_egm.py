@@ -47,6 +47,7 @@ def led(cycles: int = 1_000_000, change: Callable[[EgmController], None] = lambd
     """A link that is connected to a controller in a thread."""
     with simulated() as arm, EgmRobot(robot, port=0, timeout=PATIENCE) as link:
         controller = EgmController(arm, link.address, **{"timeout": PATIENCE, **options})
+        link.clocked = controller.timeout is None
         change(controller)
         with ThreadPoolExecutor(1) as pool:
             future = pool.submit(controller.run, cycles)
@@ -78,6 +79,17 @@ def test_what_is_loaded_before_the_first_command_costs_nothing() -> None:
         link.cycle(ROBOT.home)
         assert link.counts.lost == 0
         assert link.settled
+
+
+def test_an_arm_that_was_moved_before_the_first_command_is_not_torn_back() -> None:
+    """In true time: messages come whether they are answered or not."""
+    with led(timeout=None) as (link, controller, _):
+        moved = controller.message
+        controller.message = lambda k, state, planned: moved(  # type: ignore[method-assign]
+            k, replace(state, q=state.q + 0.02), planned)
+        time.sleep(10 * T)
+        with pytest.raises(EgmError, match=r"joint \d has moved by 1\.15° since the controller was reached"):
+            link.cycle(ROBOT.home)
 
 
 def test_commands_arrive_as_they_were_sent_and_time_is_the_controllers() -> None:

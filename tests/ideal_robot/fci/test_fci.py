@@ -225,6 +225,17 @@ def test_a_reflex_is_said_in_words(led, name: str, says: str) -> None:
     assert len(controller.commands) == sent
 
 
+def test_an_arm_that_was_moved_before_the_first_command_is_not_torn_back(led) -> None:
+    controller = Controller()
+    link = led(controller)
+    controller.q_d = HOME + np.array([0.0, 0.0, -0.05, 0.0, 0.0, 0.0, 0.0])
+    for _ in range(2):
+        with pytest.raises(FciError, match=r"joint 3 has moved by 2\.86° since the controller was reached"):
+            link.cycle(HOME)
+    assert controller.mode == "Idle"
+    assert not controller.commands
+
+
 def test_silence_is_not_called_a_stop_of_the_arm(led) -> None:
     controller = Controller()
     link = led(controller)

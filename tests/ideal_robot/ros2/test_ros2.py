@@ -97,14 +97,22 @@ def test_joints_are_found_by_name_and_commands_go_by_the_controllers_order(addre
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-def test_who_was_behind_once_is_not_behind_for_ever() -> None:
+def test_who_was_behind_once_is_not_behind_for_ever_and_what_came_meanwhile_is_not_lost() -> None:
     with led(slowed=0.0) as (link, controllers):
+        controllers.timeout = T
+        link.cycle(way(0))
         time.sleep(6 * T)
-        for k in range(5):
-            link.cycle(way(k))
+        controllers.timeout = 0.5
+        for k in range(1, 6):
+            state = link.cycle(way(k))
+            if k == 1:
+                older = [one.t for one in link.unanswered]
             # What was answered last is what was published last, so that no command is older than it has to be.
-            assert link._last == pytest.approx(controllers._stamp, abs=1e-6) or k == 0
-    assert link.counts.lost >= 3
+            assert link._last == pytest.approx(controllers._stamp, abs=1e-6) or k == 1
+    assert link.counts.lost == 0
+    assert link.counts.late == len(older) >= 3
+    np.testing.assert_allclose(np.diff(older), T, atol=1e-6)
+    assert state.t > older[-1]
 
 
 def test_a_trajectorys_horizon_bridges_what_is_lost_and_late() -> None:

@@ -37,6 +37,7 @@ def lockstep(robot: Robot, *, version: int = 3, **options: Any) -> Iterator[tupl
     config = testing.FakeCRXConfig(available_version=version)
     controller = testing.FakeCRXController(config, initial_q_deg=np.append(np.degrees(HOME), np.zeros(3))).start()
     link = StreamMotionRobot(robot, "127.0.0.1", port=controller.sm_port, rmi_port=controller.rmi_port, **options)
+    link.clocked = False
     ended = threading.Event()
 
     def ticks() -> None:
