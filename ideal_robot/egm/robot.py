@@ -129,8 +129,9 @@ class EgmRobot(LinkedRobot):
                 break
             self.counts.repeated += since == 0
             self.counts.outdated += since < 0
-            # It came after all, when its answer had gone out.
-            late += since > 0
+            if since > 0:
+                self._came_late(since)
+                late += 1
         if (reason := self._stopped(message)) is not None:
             raise EgmError(f"the controller has stopped the arm: {reason}")
         self._bridged(since, late, self._stood_in)

@@ -313,9 +313,12 @@ class Answering:
         self.knots.give(0, rows)
         self._began, self._wanted, self._step = first.tick, first.q_d, np.zeros(AXES)
 
-    def next(self) -> Report | None:
-        """Answers a millisecond and waits for the next; what is to be told where a cycle has ended."""
+    def write(self) -> None:
+        """Answers the last state: commands the coming millisecond."""
         self._motion.write(self._led_back(self._commanded(self._since + 1)))
+
+    def read(self) -> Report | None:
+        """Waits for the next state; what is to be told where a cycle has ended."""
         before, self._state = self._state.tick, self._motion.read()
         if (missed := max(self._state.tick - before - 1, 0)) > 0:
             self._unanswered += missed
@@ -380,7 +383,8 @@ def answer(pipe: Connection) -> None:
         answering.begin(told[1])
         knots = answering.knots
         while not (ended and knots.rest):
-            report = answering.next()
+            answering.write()
+            report = answering.read()
             try:
                 if report is not None and not ended:
                     pipe.send(report)
@@ -495,11 +499,12 @@ class Here:
             self._answering.knots.give(cycle, rows)
         else:
             self._answering.begin(rows)
+        self._answering.write()
 
     def reports(self) -> list[Report]:
         """See ``Process``."""
-        while (report := self._answering.next()) is None:
-            pass
+        while (report := self._answering.read()) is None:
+            self._answering.write()
         return [report]
 
     def end(self) -> None:

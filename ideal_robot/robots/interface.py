@@ -130,6 +130,8 @@ class FollowingWatch:
         self._window, self._jump, self._relative = window, jump, relative
         self._commanded, self._measured, self._sum = np.zeros((rows, n)), np.zeros((rows, n)), np.zeros((rows, n))
         self._count = self._outside = self._jumped = 0
+        # Compiled code is loaded before an arm waits for it.
+        _extremes(self._commanded, 0, 1)
 
     def begin(self, commanded: Array, measured: Array) -> None:
         """The first packet: commanded and measured joint angles ``(n,)`` [rad], at rest."""
@@ -470,7 +472,7 @@ class LinkedRobot(ABC):
         self._wire_speed = np.zeros(robot.n)
         self._told = np.zeros((2, robot.n))
         self._arrivals: deque[float] = deque(maxlen=_ARRIVALS)
-        self._stood_in = 0
+        self._stood_in, self._heard, self._heard_at = 0, 0, math.nan
         self._stood = np.full(robot.n, np.nan)
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
@@ -597,7 +599,7 @@ class LinkedRobot(ABC):
         even = np.abs(intervals - self.t_ipo) < _EVEN * self.t_ipo
         if np.count_nonzero(even) < _EVENLY * (_ARRIVALS - 1) or not self.clocked or self._braked:
             return deadline
-        due = self._arrivals[-1] + (self._stood_in + 1.5) * self.t_ipo
+        due = self._heard_at + (self._stood_in - self._heard + 1.5) * self.t_ipo
         return Deadline(deadline.seconds, min(due, deadline.end))
 
     def _awaited(self, deadline: Deadline, read: Callable[[Deadline], Packet | None],
@@ -627,10 +629,15 @@ class LinkedRobot(ABC):
         """Whether the commands in place of packets that do not come have come to rest."""
         return self._stood_in > self.horizon and bool(np.array_equal(self._told[-1], self._told[-2]))
 
+    def _came_late(self, since: int) -> None:
+        """A packet has come so many cycles behind the last, when its answer had gone out already."""
+        # A controller's clock may have been held up: from now on it is expected by this one.
+        self._heard, self._heard_at = since, self.arrived
+
     def _came(self) -> None:
         """A packet has come that is to be answered."""
         self._arrivals.append(self.arrived)
-        self._stood_in = 0
+        self._stood_in, self._heard, self._heard_at = 0, 0, self.arrived
 
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""

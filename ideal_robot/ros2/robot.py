@@ -134,7 +134,7 @@ class Ros2Robot(LinkedRobot):
             since = round((self._stamp(message) - self._last) / self.t_ipo)
             if since > self._stood_in:
                 break
-            # It came after all, when its answer had gone out.
+            self._came_late(since)
             older.append(message)
         # A controller of trajectories goes on along the horizon that it has.
         self._bridged(since, len(older), None if self.trajectory else self._stood_in)

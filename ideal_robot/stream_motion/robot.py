@@ -152,8 +152,9 @@ class StreamMotionRobot(LinkedRobot):
                 break
             self.counts.repeated += since == 0
             self.counts.outdated += since < 0
-            # It came after all, when its answer had gone out.
-            late += since > 0
+            if since > 0:
+                self._came_late(since)
+                late += 1
         self._check(status)
         if not status["status"] & _MOVES:
             raise StreamMotionError("the controller has taken motion from the stream" + self._alarm())

@@ -159,7 +159,8 @@ def answered(controller: Controller, cycle: int, given: dict[int, list[int]], mi
 
     answering.begin(rows(0))
     for _ in range(milliseconds):
-        if (report := answering.next()) is not None:
+        answering.write()
+        if (report := answering.read()) is not None:
             for k in given.get(report.cycle, [report.cycle]):
                 answering.knots.give(k, rows(k))
     if report is not None and not controller.misses:
