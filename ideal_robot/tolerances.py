@@ -10,6 +10,8 @@ with its reason.
 ROUNDING = 1e-9
 """Relative difference of positions, speeds and poses, or for those below one absolute [rad, m], that is arithmetic's.
 Double precision has 2e-16, which chains of joints and sums over a path multiply by thousands."""
+PRODUCTS = 1e-12
+"""Share of a column's squares that is rounding of double precision's products, in sums over some thousand rows."""
 UNRESOLVED = 1e-7
 """Difference of commands and positions that no encoder resolves [rad, m]: one of 24 bits has 4e-7 rad."""
 DEPENDENT = 1e-8

@@ -17,9 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from ideal_robot.arrays import Array
-
-ROUNDING = 1e-12
-"""Share of a column's own squares that is added to them: what lies below is rounding of double precision's products."""
+from ideal_robot.tolerances import PRODUCTS
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Posterior:
     @property
     def rounding(self) -> Array:
         """What rounding adds to the diagonal of the precision ``(P,)``."""
-        return np.asarray(ROUNDING / self.scale**2)
+        return np.asarray(PRODUCTS / self.scale**2)
 
     @cached_property
     def covariance(self) -> Array:
@@ -71,10 +69,10 @@ def posterior(products: Array, precision: Array | None = None) -> Posterior:
     """
     P = len(products) - 1
     A = products[:P, :P] + (0.0 if precision is None else precision)
-    own = np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A), initial=0.0) + 1e-300))
+    own = np.maximum(np.diag(A), PRODUCTS * (np.max(np.diag(A), initial=0.0) + 1e-300))
     scale = 1.0 / np.sqrt(own)
     scaled = A * np.outer(scale, scale)
-    scaled[np.diag_indices(P)] = np.diag(scaled) + ROUNDING
+    scaled[np.diag_indices(P)] = np.diag(scaled) + PRODUCTS
     root = _root(scaled)
     mean = scale * linalg.cho_solve((root, True), scale * products[:P, P])
     squares = float(products[P, P] - 2.0 * mean @ products[:P, P] + mean @ products[:P, :P] @ mean)
@@ -89,7 +87,7 @@ def _root(scaled: Array) -> Array:
         try:
             return np.asarray(linalg.cholesky(scaled + more * np.eye(len(scaled)), lower=True, check_finite=False))
         except linalg.LinAlgError:
-            more = max(10.0 * more, ROUNDING)
+            more = max(10.0 * more, PRODUCTS)
     raise linalg.LinAlgError("products of columns that are not positive: a column is not finite")
 
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.estimate.gaussian import ROUNDING, posterior
+from ideal_robot.estimate.gaussian import posterior
+from ideal_robot.tolerances import PRODUCTS
 
 TOLD = 2.0
 """Standard deviations from which on two things are distinguished: 95 % of a normal distribution."""
@@ -43,7 +44,7 @@ def _log_determinant(precision: Array) -> float:
         return 0.0
     scale = 1.0 / np.sqrt(own[known])
     scaled = precision[np.ix_(known, known)] * np.outer(scale, scale)
-    sign, logarithm = np.linalg.slogdet(scaled + 10.0 * ROUNDING * np.eye(int(known.sum())))
+    sign, logarithm = np.linalg.slogdet(scaled + 10.0 * PRODUCTS * np.eye(int(known.sum())))
     return float(logarithm - 2.0 * np.log(scale).sum()) if sign > 0 else 0.0
 
 

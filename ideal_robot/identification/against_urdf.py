@@ -37,6 +37,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import dead_share, lattice
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
+from ideal_robot.tolerances import PRODUCTS
 
 WRONG_SIGN, WRONG_SCALE, EXCHANGED, NO_GRAVITY, TURNED = ("wrong-sign", "wrong-scale", "exchanged", "no-gravity",
                                                          "gravity-turned")
@@ -85,8 +86,6 @@ _ROWS = 1500
 """Rows that are compared at most; they are spread over the recording."""
 _MISFIT = 0.02
 """Of a torque's deviation: what a rigid body with this friction cannot say of any arm, beside the noise."""
-_ROUNDING = 1e-12
-"""Share of squares of columns that is rounding: products of some thousand rows are right to 1e-13."""
 _STEPS = 4
 """Of the noise's sizes: four give the evidence within 3 nats of where 16 end, where it is near the best at all."""
 _TURNS = (0.03, 0.1, 0.3)
@@ -318,12 +317,12 @@ class _Rows:
             # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
             H = weight[:, None, None] * of_own + ones
             scale = 1.0 / np.sqrt(np.einsum("ikk->ik", H))
-            lower = np.linalg.cholesky(scale[:, :, None] * H * scale[:, None, :] + _ROUNDING * ones)
+            lower = np.linalg.cholesky(scale[:, :, None] * H * scale[:, None, :] + PRODUCTS * ones)
             inverse = np.linalg.inv(lower) * scale[:, None, :]
             pulled = (inverse @ (weight[:, None, None] * to_links)).reshape(-1, P)
             z_own = np.einsum("ikl,il->ik", inverse, weight[:, None] * aim_own)
             H = ((weight * unit[:, 0] ** 2) @ of_links).reshape(P, P)
-            np.einsum("pp->p", H)[:] = (np.einsum("pp->p", H) + 1.0) * (1.0 + _ROUNDING)
+            np.einsum("pp->p", H)[:] = (np.einsum("pp->p", H) + 1.0) * (1.0 + PRODUCTS)
             root = np.linalg.cholesky(H - pulled.T @ pulled)
             back, _ = linalg.lapack.dtrtri(root, lower=1)
             z = back @ (weight @ aim_links - z_own.ravel() @ pulled)
@@ -419,7 +418,7 @@ def _shown(bodies: list[Array], root: Array) -> Array:
     """
     flat = np.concatenate([one.reshape(-1, len(root)) for one in bodies]) @ root
     squares, directions = linalg.eigh(flat.T @ flat)
-    return np.asarray(directions[:, squares > _ROUNDING * squares[-1]])
+    return np.asarray(directions[:, squares > PRODUCTS * squares[-1]])
 
 
 def _in_units(column: Array) -> Array:

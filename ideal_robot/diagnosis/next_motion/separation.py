@@ -24,8 +24,8 @@ from ideal_robot.diagnosis.best_set import CLASS_ERROR
 from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import MOTOR_TORQUE, Domain
-from ideal_robot.estimate.gaussian import ROUNDING
 from ideal_robot.estimate.score import TOLD
+from ideal_robot.tolerances import PRODUCTS
 
 NEARLY = 0.95
 """Share of a cause from which on what imitates it stays its rival: the class errs by as much in any direction."""
@@ -170,6 +170,6 @@ def _left(matrix: Array, known: int) -> float:
     diagonal = np.diag(A)
     used = diagonal > 0.0
     scale = 1.0 / np.sqrt(diagonal[used])
-    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + ROUNDING * np.eye(int(used.sum()))
+    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + PRODUCTS * np.eye(int(used.sum()))
     right = scale * across[used]
     return square - float(right @ linalg.solve(inner, right, assume_a="pos"))
