@@ -19,8 +19,9 @@ Required = Callable[[Array], Array]
 REST = 1.5
 """Rest before and behind a path that its error is looked for with, and the length of a pulse's answer [s]: several
 times as long as controllers remember."""
-_WIDTH, _PULSE = 1.5, 0.2
-"""Of the pulse: its standard deviation in cycles, and its largest speed over the joint's, so that none reverses."""
+WIDTH, PULSE = 1.5, 0.2
+"""Of the pulse: its standard deviation in cycles, since narrower ones splines through a path do not follow, and its
+largest speed over the joint's, so that none reverses and no friction turns."""
 _BAND = 0.15
 """Frequency up to which the response is used, over the commands' own: beyond a fifth splines do not follow."""
 _LARGEST = 2.0
@@ -29,6 +30,24 @@ _ROUNDS = 30
 """Newton's steps at most."""
 _DONE = 1e-3
 """Share of the error that the last step may have."""
+
+
+def pulse_answers(required: Required, middle: Array, speed: Array, dt: float, steps: Array) -> tuple[Array, Array]:
+    """A pulse ``(N,)``, and how each joint's commands answer one of its size while all joints move on ``(N, n)``.
+
+    Args:
+        required: see ``Required``.
+        middle, speed: posture ``(n,)`` [rad] and speeds ``(n,)`` [rad/s] of the motion on which the pulse is given.
+        dt, steps: distance of rows [s], and the rows, with 0 where the pulse is ``(N,)``.
+    """
+    line, pulse = middle + steps[:, None] * dt * speed, np.exp(-0.5 * (steps / WIDTH) ** 2)
+    unchanged, answers = required(line), np.empty_like(line)
+    for j in range(len(middle)):
+        # The steepest place of the pulse is as steep as e^(-1/2) over its width.
+        size, changed = PULSE * float(speed[j]) * dt * WIDTH * np.exp(0.5), line.copy()
+        changed[:, j] += size * pulse
+        answers[:, j] = (required(changed) - unchanged)[:, j] / size
+    return pulse, answers
 
 
 def position_response(required: Required, middle: Array, speed: Array, dt: float, rows: int) -> Array:
@@ -42,19 +61,11 @@ def position_response(required: Required, middle: Array, speed: Array, dt: float
         dt, rows: distance of rows [s], and how many there are.
     """
     count = min(rows, round(REST / dt))
-    steps = np.arange(count) - 0.5 * count
-    line = middle + steps[:, None] * dt * speed
-    pulse = np.exp(-0.5 * (steps / _WIDTH) ** 2)
-    before, response = required(line), np.empty((rows // 2 + 1, len(middle)), dtype=complex)
+    pulse, answers = pulse_answers(required, middle, speed, dt, np.arange(count) - 0.5 * count)
     own, band = np.fft.rfft(pulse, rows), np.exp(-0.5 * (np.fft.rfftfreq(rows) / _BAND) ** 4)
-    for j in range(len(middle)):
-        size, moved = _PULSE * float(speed[j]) * dt * _WIDTH, line.copy()
-        moved[:, j] += size * pulse
-        answer = np.fft.rfft((required(moved) - before)[:, j] / size, rows)
-        # Where the pulse is nothing, so is the band.
-        P = answer / np.where(band > _DONE, own, 1.0)
-        response[:, j] = band * np.conj(P) / np.maximum(np.abs(P), 1.0 / _LARGEST) ** 2
-    return response
+    # Where the pulse is nothing, so is the band.
+    P = np.fft.rfft(answers, rows, axis=0) / np.where(band > _DONE, own, 1.0)[:, None]
+    return np.asarray(band[:, None] * np.conj(P) / np.maximum(np.abs(P), 1.0 / _LARGEST) ** 2)
 
 
 def uncorrected(required: Required, q_d: Array, dt: float, still: Array) -> Array:

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.command.response import WIDTH, pulse_answers
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.robots.robot import Robot
 
-_MOVES, _PULSE = 0.1, 0.2
-"""Speed of the joints meanwhile, over their largest; and that of the pulse over it, so that no friction turns."""
-_WIDTH = 1.5
-"""Standard deviation of the pulse [cycles]: what it holds no part of, splines through a path do not follow."""
+_MOVES = 0.1
+"""Speed of the joints meanwhile, over their largest."""
 _RESOLVED = 0.02
 """Share of the pulse's largest part from which on a frequency is in the answer; paths are smoother than that."""
 _SLIGHT = 1e-2
@@ -51,17 +50,9 @@ class CommandAnswer(NamedTuple):
             robot: cycle and speeds of the arm; a joint without a limit moves as if it were 1 rad/s (or m/s).
             q: posture about which it moves ``(n,)`` [rad].
         """
-        T, n = robot.t_ipo, len(q)
-        reach = feedforward.n_d + round(4.0 * _WIDTH)
-        steps = np.arange(2.0 * reach + 1) - reach
-        way = _MOVES * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0) * T
-        line, pulse = q + steps[:, None] * way, np.exp(-0.5 * (steps / _WIDTH) ** 2)
-        unchanged, answers = feedforward.along(line), np.empty((len(line), n))
-        for j in range(n):
-            # The steepest place of the pulse is as steep as e^(-1/2) over its width.
-            size, changed = _PULSE * way[j] * _WIDTH * np.exp(0.5), line.copy()
-            changed[:, j] += size * pulse
-            answers[:, j] = (feedforward.along(changed) - unchanged)[:, j] / size
+        reach = feedforward.n_d + round(4.0 * WIDTH)
+        speed = _MOVES * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+        pulse, answers = pulse_answers(feedforward.along, q, speed, robot.t_ipo, np.arange(2.0 * reach + 1) - reach)
         # Both begin and end with nothing, so the pulse is taken out of its answer by frequencies.
         own, count = np.fft.rfft(pulse, 4 * reach), 4 * reach
         freed = np.conj(own) / (np.abs(own) ** 2 + (_RESOLVED * np.abs(own).max()) ** 2)
