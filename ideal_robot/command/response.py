@@ -61,7 +61,7 @@ def position_response(required: Required, middle: Array, speed: Array, dt: float
         dt, rows: distance of rows [s], and how many there are.
     """
     count = min(rows, round(REST / dt))
-    pulse, answers = pulse_answers(required, middle, speed, dt, np.arange(count) - 0.5 * count)
+    pulse, answers = pulse_answers(required, middle, speed, dt, np.arange(float(count)) - 0.5 * count)
     own, band = np.fft.rfft(pulse, rows), np.exp(-0.5 * (np.fft.rfftfreq(rows) / _BAND) ** 4)
     # Where the pulse is nothing, so is the band.
     P = np.fft.rfft(answers, rows, axis=0) / np.where(band > _DONE, own, 1.0)[:, None]
