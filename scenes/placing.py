@@ -50,7 +50,9 @@ ATTEMPTS = 6
 LOWEST = 0.05
 """Of a surface above the base plane [m]: room for the tool's own width."""
 TOOLS = (0.0, 0.1)
-"""Lengths of tools that are tried, relative to the reach: a short wrist needs one to keep off the surface."""
+"""Lengths of tools that are tried, relative to the reach: a short wrist needs one to keep off the surface …"""
+LONG_TOOLS = (0.25,)
+"""… and a longer one where none of them does, of an arm whose flange lies above the end of its forearm."""
 TURNS = (0.0, 180.0, 90.0, -90.0)
 """How tool and camera are mounted on the flange, about the approach axis: a wrist of less than a turn cannot point a
 flange's own x axis along every travel [deg]."""
@@ -95,9 +97,9 @@ def place_line(scene: LineScene) -> Place:
         raise InputError(f"{robot.name} {where} below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
     # Where the arm cannot move the camera about any line, the line is placed as if it could.
-    for seeing, ahead, turn in product((True, False) if scene.calibration.by_moving else (False,), (AHEAD, NEAR),
-                                       TURNS):
-        if (place := _placed(scene.changed(tool_turn_deg=turn), robot, ahead, seeing)) is not None:
+    for seeing, tools, ahead, turn in product((True, False) if scene.calibration.by_moving else (False,),
+                                              (TOOLS, LONG_TOOLS), (AHEAD, NEAR), TURNS):
+        if (place := _placed(scene.changed(tool_turn_deg=turn), robot, (tools, ahead), seeing)) is not None:
             return place
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
@@ -110,8 +112,9 @@ def _highest(robot: Robot) -> float:
     return float(np.quantile([fk(q).translation[2] for q in spread_postures(robot.q_min, robot.q_max)], 0.95))
 
 
-def _placed(scene: LineScene, robot: Robot, ahead: tuple[float, ...], seeing: bool) -> Place | None:
-    """Where a line fits at some distances, with the tool mounted as it is; None for nowhere.
+def _placed(scene: LineScene, robot: Robot, tried: tuple[tuple[float, ...], tuple[float, ...]], seeing: bool
+            ) -> Place | None:
+    """Where a line fits with some tools and at some distances, the tool mounted as it is; None for nowhere.
 
     On request it is one over which the camera is calibrated.
     """
@@ -119,7 +122,7 @@ def _placed(scene: LineScene, robot: Robot, ahead: tuple[float, ...], seeing: bo
     for heading, share in product(HEADINGS, SIZES):
         best: Place | None = None
         wanted = min(FASTEST, wave(round(share * reach(robot), 2)) / PERIOD)
-        for candidate in _candidates(scene, robot, share, heading, ahead):
+        for candidate in _candidates(scene, robot, share, heading, tried):
             speed = fits(candidate, candidate.arm, wanted)
             if (speed is not None and (best is None or speed > best.speed)
                     and (not seeing or calibrates(candidate, candidate.arm))):
@@ -160,15 +163,16 @@ def where_it_fits(scene: LineScene) -> str:
             f"heading_deg = {place.heading:g}{tool}; ideal-robot new NAME --robot writes such a scene")
 
 
-def _candidates(scene: LineScene, robot: Robot, share: float, heading: float, distances: tuple[float, ...]
-                ) -> Iterator[LineScene]:
-    """The scene with a line of a share of the reach, at the places that are tried, without a tool first."""
+def _candidates(scene: LineScene, robot: Robot, share: float, heading: float,
+                tried: tuple[tuple[float, ...], tuple[float, ...]]) -> Iterator[LineScene]:
+    """The scene with a line of a share of the reach, with the tools in turn, at the distances that are tried."""
     size, shoulder = reach(robot), shoulder_height(robot)
     length = round(share * size, 2)
     turn = math.radians(heading)
     heights = dict.fromkeys(round(max(height, LOWEST), 2)
                             for height in (*(shoulder + below * size for below in BELOW), mean_height(robot)))
-    for tool, height, ahead in product(TOOLS, heights, distances):
+    tools, distances = tried
+    for tool, height, ahead in product(tools, heights, distances):
         begin = np.array([ahead * size, 0.0]) - 0.5 * length * np.array([math.cos(turn), math.sin(turn)])
         origin = (round(float(begin[0]), 2), round(float(begin[1]), 2), height)
         yield resized(scene, length, origin, heading).changed(tool_mm=round(100.0 * tool * size) * 10.0)

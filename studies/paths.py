@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.inverse import Inverse
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
@@ -191,7 +192,7 @@ def _at_home(robot: Robot) -> dict[str, str]:
     """The coupled modes [Hz], friction over the torque limit [%], and sag [mm]."""
     world = World.default(robot.name)
     model, q = draw_specimen(robot, world).model, robot.home
-    mass = pin.crba(model, model.createData(), q)
+    mass = mass_matrix(model, model.createData(), q)
     mass = np.triu(mass) + np.triu(mass, 1).T
     stiffness = world.per_joint("stiffness", robot.n)
     modes = np.sqrt(np.linalg.eigvals(np.linalg.solve(mass, np.diag(stiffness))).real) / 2 / np.pi

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,43 @@ SCARA = """<robot name="scara"><link name="base_link"/><link name="a"/><link nam
 <joint name="j4" type="revolute"><parent link="c"/><child link="d"/><origin xyz="0 0 0" rpy="{roll} 0 0"/><axis xyz="0 0 1"/>{limit}</joint>
 </robot>"""  # noqa: E501
 """An arm of four joints, two of them upright, one that slides, one that turns the tool."""
+
+
+def following(parts: Sequence[tuple[str, str, str, str, float, str]], tool: str = "0 0 0") -> str:
+    """A chain of joints of which some follow others.
+
+    Args:
+        parts: of each joint name, type, axis, place, mass of its link [kg], and the attributes of its ``mimic``.
+        tool: roll, pitch and yaw of the tool frame on the last link.
+    """
+    text = ['<robot name="following"><link name="base_link"/>']
+    before = "base_link"
+    for name, kind, axis, place, mass, mimic in parts:
+        link = f"behind_{name}"
+        low, high = (0.0, 0.3) if kind == "prismatic" else (-1.2, 1.2)
+        text.append(LINK.format(name=link, inertial=INERTIAL.format(mass=mass, inertia=0.02 * mass)))
+        text.append(f'<joint name="{name}" type="{kind}"><parent link="{before}"/><child link="{link}"/>'
+                    f'<origin xyz="{place}"/><axis xyz="{axis}"/>'
+                    f'<limit lower="{low}" upper="{high}" effort="600" velocity="2"/>'
+                    f'{f"<mimic {mimic}/>" if mimic else ""}</joint>')
+        before = link
+    text.append(f'<link name="tool0"/><joint name="flange" type="fixed"><parent link="{before}"/><child link="tool0"/>'
+                f'<origin xyz="0 0 0" rpy="{tool}"/></joint></robot>')
+    return "".join(text)
+
+
+PALLETIZER = following([
+    ("j1", "revolute", "0 0 1", "0 0 0.3", 20.0, ""), ("j2", "revolute", "0 1 0", "0.1 0 0.1", 12.0, ""),
+    ("rods", "revolute", "0 1 0", "0 0 0.5", 3.0, 'joint="j2" multiplier="-1"'),
+    ("j3", "revolute", "0 1 0", "0 0 0", 8.0, ""),
+    ("level", "revolute", "0 1 0", "0.5 0 0", 3.0, 'joint="j3" multiplier="-1"'),
+    ("j4", "revolute", "0 0 -1", "0.05 0 -0.1", 2.0, "")], "3.14159265 0 0")
+"""An arm of four joints whose rods keep the wrist level: two more joints follow."""
+LIFTED = following([
+    ("lift", "prismatic", "0 0 1", "0 0 0.2", 10.0, ""),
+    ("stage", "prismatic", "0 0 1", "0 0 0.1", 8.0, 'joint="lift" multiplier="0.8" offset="0.02"'),
+    *((f"joint_{i}", "revolute", axis, place, 4.0 / i, "") for i, (axis, place) in enumerate(SIX, 1))], TURNED[6])
+"""An arm of six joints on a telescope, whose second stage a belt moves with the first."""
 
 
 def urdf(joints: int = 6, *, mass: float | None = None, limit: str = 'lower="-2.9" upper="2.9" effort="0" velocity="0"',

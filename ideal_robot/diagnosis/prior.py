@@ -232,16 +232,16 @@ def _same(model: Model) -> Array:
 
 def _of_type(model: Model) -> Array:
     """What the bodies and rotors of two arms of a type differ by, as covariance of base parameters ``(P, P)``."""
-    n, b = model.n, model.base.count
+    layout, b = model.base.layout, model.base.count
     full = np.asarray(model.consistent)
-    scale = parameter_scales(full, n)
-    own = np.zeros(12 * n)
-    own[: 10 * n] = BODY * scale[: 10 * n]
-    own[10 * n : 11 * n] = ROTOR * full[10 * n : 11 * n]
+    scale = parameter_scales(full, layout)
+    own = np.zeros(layout.size)
+    own[layout.links] = BODY * scale[layout.links]
+    own[layout.rotors] = ROTOR * full[layout.rotors]
     spread = np.diag(own**2)
-    for i in range(n):
-        link = np.zeros(12 * n)
-        link[10 * i : 10 * i + 10] = LINK * full[10 * i : 10 * i + 10]
+    for i in range(layout.bodies):
+        link = np.zeros(layout.size)
+        link[layout.link(i)] = LINK * full[layout.link(i)]
         spread += np.outer(link, link)
     P = len(parameter_vector(model.base_values, model.friction))
     result = np.zeros((P, P))

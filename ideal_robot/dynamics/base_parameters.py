@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,15 +15,63 @@ from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.regressor import LINK_PARAMETERS, LINK_UNITS, regressor
+from ideal_robot.robots.joints import joint_motions, own_joints
 from ideal_robot.robots.robot import joint_units
 from ideal_robot.tolerances import DEPENDENT
 
 _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
 
+FOLLOWING = "bcdefghijklmnopqrstuvwxyz"
+"""What links that follow a joint are told apart by."""
 _CLEAR = 0.01
 """Share of a column, apart from those before it, from which on the preference decides. A column of which only a
 thousandth is its own would be in the base for what another one shows plainly: no motion tells it in its numbers."""
+
+
+class FullLayout(NamedTuple):
+    """Where an arm's full parameters stand: ten a link, then the rotor inertias and offsets of its ``n`` joints.
+
+    Attributes:
+        bodies: number of links; n where no joint follows another one.
+        own: link that each joint moves itself, from 0 ``(n,)``.
+    """
+
+    bodies: int
+    own: tuple[int, ...]
+
+    @classmethod
+    def of(cls, model: pin.Model) -> FullLayout:
+        """That of a Pinocchio model's arm."""
+        return cls(model.njoints - 1, tuple(j - 1 for j in own_joints(model)))
+
+    @property
+    def size(self) -> int:
+        """Number of full parameters: 12 n where no joint follows another one."""
+        return 10 * self.bodies + 2 * len(self.own)
+
+    @property
+    def links(self) -> slice:
+        """Places of all links' parameters."""
+        return slice(0, 10 * self.bodies)
+
+    @property
+    def rotors(self) -> slice:
+        """Places of the rotor inertias."""
+        return slice(10 * self.bodies, 10 * self.bodies + len(self.own))
+
+    @property
+    def offsets(self) -> slice:
+        """Places of the torque offsets."""
+        return slice(10 * self.bodies + len(self.own), self.size)
+
+    def link(self, i: int) -> slice:
+        """Places of a link's ten parameters, counted from 0 along the chain."""
+        return slice(10 * i, 10 * i + 10)
+
+    def carried_by(self, joint: int) -> slice:
+        """Places of the ten parameters of the link that a joint, counted from 1, moves itself; 0 is the last one."""
+        return self.link(self.own[joint - 1] if joint > 0 else self.bodies - 1)
 
 
 @dataclass(frozen=True)
@@ -30,7 +79,8 @@ class BaseParameters:
     """Which parameters are in the base and how the others are grouped into them.
 
     Full parameters are, in this order: ten a link (``m_1 … Izz_n``), the rotor inertias reflected to the joint side
-    ``Ia_1 … Ia_n`` and the constant torque offsets ``offset_1 … offset_n``; ``p = 12 n`` in all.
+    ``Ia_1 … Ia_n`` and the constant torque offsets ``offset_1 … offset_n``; ``p = 12 n`` in all. Links that follow
+    joint 2 are called ``m_2b``, ``m_2c`` and so on, and are ten more each.
 
     Attributes:
         full_names: names of the full parameters.
@@ -38,6 +88,7 @@ class BaseParameters:
         independent: indices of the ``b`` columns that stay, in base order.
         grouping: matrix ``(b, p)`` from full to base parameters.
         gravitational: mask ``(b,)``: those that occur in g(q) are p_g, the others p_m ([G] (6)).
+        layout: where the full parameters stand.
     """
 
     full_names: tuple[str, ...]
@@ -45,6 +96,7 @@ class BaseParameters:
     independent: tuple[int, ...]
     grouping: Array
     gravitational: tuple[bool, ...]
+    layout: FullLayout
 
     @property
     def count(self) -> int:
@@ -64,7 +116,7 @@ class BaseParameters:
     @property
     def joints(self) -> tuple[int, ...]:
         """Joint, counted from 1, that each base parameter is named after."""
-        return tuple(int(name.rsplit("_", 1)[1]) for name in self.names)
+        return tuple(int(name.rsplit("_", 1)[1].rstrip(FOLLOWING)) for name in self.names)
 
     def words(self) -> tuple[str, ...]:
         """Each base parameter as the sum it stands for, e.g. ``Izz_1 + Ia_1 + Iyy_2 + 0.09·m_2``."""
@@ -91,32 +143,41 @@ class BaseParameters:
 
 
 def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequence[int] | None = None) -> Array:
-    """Regressor ``(N, n, 12 n)`` of links, rotor inertias and offsets, in the order of ``BaseParameters``.
+    """Regressor ``(N, n, p)`` of links, rotor inertias and offsets, in the order of ``BaseParameters``.
 
     Args:
         model: kinematics; its inertias do not matter.
         q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
-        columns: those wanted of the ``12 n``, in their order; zeros for any beyond; all if None.
+        columns: those wanted of the ``p``, in their order; zeros for any beyond; all if None.
 
     Raises:
         InputError: the model branches, or a joint has more than one degree of freedom.
     """
-    n = model.nv
-    wanted = np.arange(12 * n) if columns is None else np.asarray(columns, dtype=int)
+    n, layout = model.nv, FullLayout.of(model)
+    wanted = np.arange(layout.size) if columns is None else np.asarray(columns, dtype=int)
     result = regressor(model, q, qd, qdd, wanted.tolist())
-    for place in np.flatnonzero((wanted >= 10 * n) & (wanted < 12 * n)):
-        kind, joint = divmod(int(wanted[place]) - 10 * n, n)
+    for place in np.flatnonzero((wanted >= layout.rotors.start) & (wanted < layout.size)):
+        kind, joint = divmod(int(wanted[place]) - layout.rotors.start, n)
         result[:, joint, place] = 1.0 if kind else qdd[:, joint]
     return result
 
 
-def full_names(n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the full parameters of an arm with ``n`` joints."""
-    names = [f"{key}_{i + 1}" for i in range(n) for key in LINK_PARAMETERS]
-    units = list(LINK_UNITS) * n
+def link_labels(model: pin.Model) -> tuple[str, ...]:
+    """What each link is called by the joint that moves it: "2", and "2b", "2c" of those that follow joint 2."""
+    labels, followers = [], [0] * model.nv
+    motions = joint_motions(model)
+    for joint, own in zip(motions.coordinate, motions.own, strict=True):
+        followers[joint] += not own
+        labels.append(f"{joint + 1}" if own else f"{joint + 1}{FOLLOWING[followers[joint] - 1]}")
+    return tuple(labels)
+
+
+def full_names(model: pin.Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the full parameters of an arm."""
+    labels, n = link_labels(model), model.nv
+    names = [f"{key}_{label}" for label in labels for key in LINK_PARAMETERS]
     names += [f"Ia_{i + 1}" for i in range(n)] + [f"offset_{i + 1}" for i in range(n)]
-    units += ["kg m²"] * n + ["N m"] * n
-    return tuple(names), tuple(units)
+    return tuple(names), (*LINK_UNITS * len(labels), *joint_units("kg m²", model), *joint_units("N m", model))
 
 
 def base_parameters(model: pin.Model) -> BaseParameters:
@@ -127,16 +188,16 @@ def base_parameters(model: pin.Model) -> BaseParameters:
     count = 40 * n
     q = rng.uniform(-np.pi, np.pi, (count, n))
     qd, qdd = rng.normal(size=(count, n)), rng.normal(size=(count, n))
-    W = full_regressor(model, q, qd, qdd).reshape(count * n, 12 * n)
-    names, units = full_names(n)
-    units = (*units[: 10 * n], *joint_units("kg m²", model), *joint_units("N m", model))
+    layout = FullLayout.of(model)
+    W = full_regressor(model, q, qd, qdd).reshape(count * n, layout.size)
+    names, units = full_names(model)
 
-    order = _order(n)
+    order = _order(layout)
     size = np.linalg.norm(W, axis=0)
     visible = [i for i in order if size[i] > DEPENDENT * size.max()]
     independent = _independent(W[:, visible] / size[visible], visible)
     dependent = [i for i in visible if i not in independent]
-    grouping = np.zeros((len(independent), 12 * n))
+    grouping = np.zeros((len(independent), layout.size))
     grouping[np.arange(len(independent)), independent] = 1.0
     if dependent:
         beta = np.linalg.lstsq(W[:, independent], W[:, dependent], rcond=None)[0]
@@ -147,9 +208,10 @@ def base_parameters(model: pin.Model) -> BaseParameters:
     independent = [independent[i] for i in by_name]
     grouping = grouping[by_name]
     grouping.setflags(write=False)
-    at_rest = full_regressor(model, q, np.zeros_like(q), np.zeros_like(q)).reshape(count * n, 12 * n)
+    at_rest = full_regressor(model, q, np.zeros_like(q), np.zeros_like(q)).reshape(count * n, layout.size)
     gravitational = np.linalg.norm(at_rest[:, independent], axis=0) > DEPENDENT * size.max()
-    return BaseParameters(names, units, tuple(independent), grouping, tuple(bool(g) for g in gravitational))
+    return BaseParameters(names, units, tuple(independent), grouping, tuple(bool(g) for g in gravitational),
+                          layout)
 
 
 def _independent(W: Array, columns: Sequence[int]) -> list[int]:
@@ -172,7 +234,8 @@ def _independent(W: Array, columns: Sequence[int]) -> list[int]:
     return [columns[i] for i in sorted([*map(int, np.flatnonzero(clear)), *added])]
 
 
-def _order(n: int) -> list[int]:
+def _order(layout: FullLayout) -> list[int]:
     """Column order for the QR: offsets and rotor inertias of their own joints last but offsets, links base to tip."""
-    links = [10 * i + LINK_PARAMETERS.index(key) for key in _PREFERENCE for i in range(n)]
-    return [*range(11 * n, 12 * n), *links, *range(10 * n, 11 * n)]
+    links = [10 * i + LINK_PARAMETERS.index(key) for key in _PREFERENCE for i in range(layout.bodies)]
+    every = range(layout.size)
+    return [*every[layout.offsets], *links, *every[layout.rotors]]

@@ -19,7 +19,7 @@ from scipy import sparse
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import kept_words
-from ideal_robot.dynamics.base_parameters import BaseParameters
+from ideal_robot.dynamics.base_parameters import BaseParameters, FullLayout
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.tolerances import LEAST_EIGENVALUE, NOMINAL_WEIGHT
 
@@ -34,7 +34,7 @@ class Consistency:
     Attributes:
         full: possible parameters ``(p,)``: links, rotor inertias, offsets.
         deviation: possible minus identified base parameters in their standard deviations ``(b,)``.
-        smallest_eigenvalue: of each link's pseudo-inertia matrix before and after ``(n, 2)``; before belongs to the
+        smallest_eigenvalue: of each link's pseudo-inertia matrix before and after ``(links, 2)``; before belongs to the
             full parameters nearest the nominal ones that have exactly the identified base parameters.
         was_consistent: whether those were possible already.
     """
@@ -63,8 +63,8 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     Raises:
         IdealRobotError: the solver finds no solution, or the covariance is none.
     """
-    n = len(nominal) // 12
-    scale = parameter_scales(nominal, n)
+    layout = base.layout
+    scale = parameter_scales(nominal, layout)
     # Whitened distance to the base parameters; a floor keeps parameters of tiny variance from spoiling the numbers.
     std = np.sqrt(np.diag(covariance))
     size = np.maximum(np.abs(values), 1e-3 * np.max(np.abs(values)))
@@ -81,20 +81,20 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     # Unknowns are the full parameters in units of their scales.
     spread = scale.copy()
     if rotors is not None:
-        spread[10 * n : 11 * n] = rotors
+        spread[layout.rotors] = rotors
     near = np.sqrt(NOMINAL_WEIGHT) * scale / spread
     A = np.vstack([whiten @ base.grouping * scale, np.diag(near)])
     b = np.concatenate([whiten @ values, near * nominal / scale])
-    solved = _solve(A, b, scale, nominal, n)
+    solved = _solve(A, b, scale, nominal, layout)
     full = solved * scale
     exact = base.nearest_full(values, nominal)
-    eigenvalues = np.array([[np.linalg.eigvalsh(pseudo_inertia(p[10 * i : 10 * i + 10]))[0] for p in (exact, full)]
-                            for i in range(n)])
-    possible = bool(np.all(eigenvalues[:, 0] > 0) and np.all(exact[10 * n : 11 * n] >= 0))
+    eigenvalues = np.array([[np.linalg.eigvalsh(pseudo_inertia(p[layout.link(i)]))[0] for p in (exact, full)]
+                            for i in range(layout.bodies)])
+    possible = bool(np.all(eigenvalues[:, 0] > 0) and np.all(exact[layout.rotors] >= 0))
     return Consistency(full, (base.of(full) - values) / floor, eigenvalues, possible)
 
 
-def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int) -> Array:
+def _solve(A: Array, b: Array, scale: Array, nominal: Array, layout: FullLayout) -> Array:
     """Minimum of ‖A x - b‖² subject to positive pseudo-inertias and rotor inertias.
 
     Solved for the difference from the nearest unconstrained point: with precise recordings ‖b‖² is so large that the
@@ -106,8 +106,9 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int) -> Array:
     P = sparse.csc_matrix(np.triu(gram * np.outer(size, size)))
     q = np.zeros(A.shape[1])
     rows, rhs, cones = [], [], []
-    for i in range(n):
-        span = slice(10 * i, 10 * i + 10)
+    n = len(layout.own)
+    for i in range(layout.bodies):
+        span = layout.link(i)
         block = np.zeros((10, len(nominal)))
         # Clarabel's cone: s = rhs - G x in the upper triangle, column by column, off-diagonals times √2. Scaling
         # rows and columns of the matrix alike does not change its definiteness.
@@ -119,7 +120,7 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int) -> Array:
         rhs.append(-LEAST_EIGENVALUE * _triangle(np.eye(4)))
         cones.append(clarabel.PSDTriangleConeT(4))
     rotor = np.zeros((n, len(nominal)))
-    rotor[np.arange(n), 10 * n + np.arange(n)] = -1.0
+    rotor[:, layout.rotors] = -np.eye(n)
     rows.append(rotor)
     rhs.append(np.zeros(n))
     cones.append(clarabel.NonnegativeConeT(n))
@@ -153,18 +154,17 @@ def _triangle(matrix: Array) -> Array:
     return np.array([matrix[i, j] * weights[i, j] for j in range(4) for i in range(j + 1)])
 
 
-def parameter_scales(nominal: Array, n: int) -> Array:
-    """Typical size of each full parameter, from the nominal arm."""
+def parameter_scales(nominal: Array, layout: FullLayout) -> Array:
+    """Typical size of each full parameter ``(p,)``, from those of the nominal arm ``(p,)``."""
     scale = np.ones(len(nominal))
-    mass = max(1e-3, float(np.mean(np.abs(nominal[: 10 * n : 10]))))
-    for i in range(n):
-        link = nominal[10 * i : 10 * i + 10]
+    mass = max(1e-3, float(np.mean(np.abs(nominal[layout.links][::10]))))
+    for i in range(layout.bodies):
+        link = nominal[layout.link(i)]
         m = max(abs(link[0]), 0.02 * mass)
         length = max(0.05, float(np.sqrt(np.trace(pseudo_inertia(link)[:3, :3]) / m)))
-        scale[10 * i] = m
-        scale[10 * i + 1 : 10 * i + 4] = m * length
-        scale[10 * i + 4 : 10 * i + 10] = m * length**2
-        scale[10 * n + i] = m * length**2
+        scale[layout.link(i)] = [m, *[m * length] * 3, *[m * length**2] * 6]
+    # A joint's rotor is compared with the moments of inertia of the link that it moves itself.
+    scale[layout.rotors] = [scale[10 * i + 4] for i in layout.own]
     return scale
 
 

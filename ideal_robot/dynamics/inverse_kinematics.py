@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames
+from ideal_robot.dynamics.newton_euler import Chain, chain_of, frames_of, joint_frames
 from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 from ideal_robot.tolerances import HALF_TURN, SLIGHT
@@ -102,8 +102,8 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
         tool, q: kinematics, and joint angles ``(n,)`` [rad].
         J, T_R, T_p: written to; the pose's rotation is ``(3, 3)``, its place ``(3,)`` [m].
     """
-    n, chain = len(q), tool.chain
-    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    chain = tool.chain
+    R, p = frames_of(chain)
     joint_frames(chain, q, R, p)
     J[:] = 0.0
     # Number by number: an assignment of whole arrays takes seconds to compile.
@@ -113,16 +113,17 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
             T_R[r, c] = tool.R[r, c]
     turned = np.empty((3, 3))
     for i in range(tool.joints - 1, -1, -1):
-        z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
+        j, ratio = chain.coordinate[i], chain.ratio[i]
+        z0, z1, z2 = ratio * chain.axis[i, 0], ratio * chain.axis[i, 1], ratio * chain.axis[i, 2]
         m0, m1, m2 = z1 * T_p[2] - z2 * T_p[1], z2 * T_p[0] - z0 * T_p[2], z0 * T_p[1] - z1 * T_p[0]
         slides = chain.prismatic[i] > 0.5
         for r in range(3):
             along = T_R[0, r] * z0 + T_R[1, r] * z1 + T_R[2, r] * z2
             if slides:
-                J[r, i] = along
+                J[r, j] += along
             else:
-                J[r, i] = T_R[0, r] * m0 + T_R[1, r] * m1 + T_R[2, r] * m2
-                J[3 + r, i] = along
+                J[r, j] += T_R[0, r] * m0 + T_R[1, r] * m1 + T_R[2, r] * m2
+                J[3 + r, j] += along
         E, p0, p1, p2 = R[i], T_p[0], T_p[1], T_p[2]
         for r in range(3):
             for c in range(3):

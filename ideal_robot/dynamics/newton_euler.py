@@ -10,30 +10,41 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
+from ideal_robot.robots.joints import joint_motions
 
 
 class Chain(NamedTuple):
-    """Kinematics and inertias of a serial arm as plain arrays, in the order of the joints.
+    """Kinematics and inertias of a serial arm as plain arrays: ``b`` joints in their order, ``n`` of them free.
+
+    The others follow one of those (``ideal_robot.robots.joints``); where none does, b is n.
 
     Attributes:
-        rotation, position: placement of each joint in the frame of the joint before it, ``(n, 3, 3)`` and ``(n, 3)``.
-        axis: joint axis in the joint's frame ``(n, 3)``.
-        prismatic: 1 where the joint slides along its axis, 0 where it turns about it ``(n,)``.
-        mass, com, inertia: of the body behind each joint: [kg] ``(n,)``, centre of mass in the joint's frame ``(n, 3)``
-            [m], inertia about it ``(n, 3, 3)`` [kg m²].
+        rotation, position: placement of each joint in the frame of the joint before it, ``(b, 3, 3)`` and ``(b, 3)``.
+        axis: joint axis in the joint's frame ``(b, 3)``.
+        prismatic: 1 where the joint slides along its axis, 0 where it turns about it ``(b,)``.
+        coordinate: that moves each joint, from 0 ``(b,)``.
+        ratio, offset: each joint's angle is ratio times its coordinate plus offset ``(b,)`` [-, rad or m].
+        own: the joint, from 0, whose angle each coordinate is ``(n,)``.
+        mass, com, inertia: of the body behind each joint: [kg] ``(b,)``, centre of mass in the joint's frame ``(b, 3)``
+            [m], inertia about it ``(b, 3, 3)`` [kg m²].
         gravity: in the base frame ``(3,)`` [m/s²].
-        armature: inertia that resists the joint's own acceleration alone ``(n,)`` [kg m², kg]; negative where a share
-            of the bodies' is counted to the rotor.
+        armature: inertia that resists a coordinate's own acceleration alone ``(n,)`` [kg m², kg]; negative where a
+            share of the bodies' is counted to the rotor.
     """
 
     rotation: Array
     position: Array
     axis: Array
     prismatic: Array
+    coordinate: NDArray[np.int64]
+    ratio: Array
+    offset: Array
+    own: NDArray[np.int64]
     mass: Array
     com: Array
     inertia: Array
@@ -46,33 +57,29 @@ def chain_of(model: pin.Model) -> Chain:
 
     Raises InputError where the model branches, or a joint has more than one degree of freedom.
     """
-    n = model.nv
-    rotation, position = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    axis, prismatic = np.zeros((n, 3)), np.zeros(n)
-    mass, com, inertia = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
-    for i in range(n):
-        joint = model.joints[i + 1]
-        if joint.nv != 1 or model.parents[i + 1] != i:
-            raise InputError("expected a serial chain of one-degree-of-freedom joints", field="urdf", value=model.name)
-        placement, body = model.jointPlacements[i + 1], model.inertias[i + 1]
-        data = joint.createData()
-        joint.calc(data, pin.neutral(model)[joint.idx_q : joint.idx_q + joint.nq])
-        motion = np.asarray(data.S).reshape(6)
-        prismatic[i] = float(np.linalg.norm(motion[:3]) > 0.5)
-        axis[i] = motion[:3] if prismatic[i] else motion[3:]
-        rotation[i], position[i] = placement.rotation, placement.translation
-        mass[i], com[i], inertia[i] = body.mass, body.lever, body.inertia
-    return Chain(rotation, position, axis, prismatic, mass, com, inertia, np.array(model.gravity.linear), np.zeros(n))
+    joints, parents = list(model.joints)[1:], list(model.parents)[1:]
+    if any(joint.nv > 1 for joint in joints) or parents != list(range(len(joints))):
+        raise InputError("expected a serial chain of one-degree-of-freedom joints", field="urdf", value=model.name)
+    placements, bodies = list(model.jointPlacements)[1:], list(model.inertias)[1:]
+    motions = joint_motions(model)
+    return Chain(
+        rotation=np.array([place.rotation for place in placements]),
+        position=np.array([place.translation for place in placements]),
+        axis=motions.axis, prismatic=motions.prismatic.astype(float), coordinate=motions.coordinate.astype(np.uintp),
+        ratio=motions.ratio, offset=motions.offset, own=np.flatnonzero(motions.own),
+        mass=np.array([body.mass for body in bodies]),
+        com=np.array([body.lever for body in bodies]), inertia=np.array([body.inertia for body in bodies]),
+        gravity=np.array(model.gravity.linear), armature=np.zeros(model.nv))
 
 
 @jit()
 def point_mass(chain: Chain, place: Array) -> Chain:
     """The same kinematics with nothing but 1 kg at ``place (3,)`` [m] in the last joint's frame."""
-    n = len(chain.mass)
-    mass, com = np.zeros(n), np.zeros((n, 3))
-    mass[n - 1], com[n - 1] = 1.0, place
-    return Chain(chain.rotation, chain.position, chain.axis, chain.prismatic, mass, com, np.zeros((n, 3, 3)),
-                 chain.gravity, np.zeros(n))
+    b = len(chain.mass)
+    mass, com = np.zeros(b), np.zeros((b, 3))
+    mass[b - 1], com[b - 1] = 1.0, place
+    return Chain(chain.rotation, chain.position, chain.axis, chain.prismatic, chain.coordinate, chain.ratio,
+                 chain.offset, chain.own, mass, com, np.zeros((b, 3, 3)), chain.gravity, np.zeros(len(chain.armature)))
 
 
 @jit(inline="always")
@@ -89,16 +96,23 @@ def _turned_back(R: Array, v: Array, out: Array) -> None:
 
 
 @jit()
+def frames_of(chain: Chain) -> tuple[Array, Array]:
+    """Room for what ``joint_frames`` writes: ``(b, 3, 3)`` and ``(b, 3)``."""
+    return np.empty((len(chain.mass), 3, 3)), np.empty((len(chain.mass), 3))
+
+
+@jit()
 def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
     """Rotation and position of each joint's frame in the one before it.
 
     Args:
         chain: the arm's rigid bodies.
         q: joint positions ``(n,)`` [rad].
-        R, p: the frames ``(n, 3, 3)`` and ``(n, 3)`` [m], written to.
+        R, p: the frames ``(b, 3, 3)`` and ``(b, 3)`` [m], written to.
     """
     turn = np.empty((3, 3))
-    for i in range(len(q)):
+    for i in range(len(chain.mass)):
+        angle = chain.ratio[i] * q[chain.coordinate[i]] + chain.offset[i]
         x, y, z = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
         for r in range(3):
             p[i, r] = chain.position[i, r]
@@ -106,11 +120,11 @@ def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
             for r in range(3):
                 for c in range(3):
                     R[i, r, c] = chain.rotation[i, r, c]
-                p[i, r] += q[i] * (chain.rotation[i, r, 0] * x + chain.rotation[i, r, 1] * y
+                p[i, r] += angle * (chain.rotation[i, r, 0] * x + chain.rotation[i, r, 1] * y
                                    + chain.rotation[i, r, 2] * z)
             continue
         # Rodrigues' formula.
-        s, c0 = np.sin(q[i]), np.cos(q[i])
+        s, c0 = np.sin(angle), np.cos(angle)
         v = 1.0 - c0
         turn[0, 0], turn[0, 1], turn[0, 2] = c0 + x * x * v, x * y * v - z * s, x * z * v + y * s
         turn[1, 0], turn[1, 1], turn[1, 2] = y * x * v + z * s, c0 + y * y * v, y * z * v - x * s
@@ -123,7 +137,7 @@ def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
 
 @jit()
 def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
-    """Where the joints are in the base frame ``(N, n, 3)``, and behind them a point of the arm: ``(N, n + 1, 3)`` [m].
+    """Where the joints are in the base frame ``(N, b, 3)``, and behind them a point of the arm: ``(N, b + 1, 3)`` [m].
 
     Args:
         chain: kinematics.
@@ -131,15 +145,15 @@ def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
         joint: that carries the point, counted from 1; 0 for the base.
         point: in that joint's frame ``(3,)`` [m].
     """
-    N, n = q.shape
-    places = np.empty((N, n + 1, 3))
-    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    N, b = len(q), len(chain.mass)
+    places = np.empty((N, b + 1, 3))
+    R, p = frames_of(chain)
     turn, turned = np.empty((3, 3)), np.empty((3, 3))
     for k in range(N):
         joint_frames(chain, q[k], R, p)
         turn[:] = np.eye(3)
-        places[k, n] = point
-        for i in range(n):
+        places[k, b] = point
+        for i in range(b):
             for r in range(3):
                 places[k, i, r] = turn[r, 0] * p[i, 0] + turn[r, 1] * p[i, 1] + turn[r, 2] * p[i, 2]
                 if i > 0:
@@ -149,7 +163,7 @@ def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
             turn[:] = turned
             if i == joint - 1:
                 for r in range(3):
-                    places[k, n, r] = (places[k, i, r] + turn[r, 0] * point[0] + turn[r, 1] * point[1]
+                    places[k, b, r] = (places[k, i, r] + turn[r, 0] * point[0] + turn[r, 1] * point[1]
                                        + turn[r, 2] * point[2])
     return places
 
@@ -161,7 +175,8 @@ def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array,
     # Numbers by themselves rather than vectors: the compiler keeps them in registers.
     w0, w1, w2, d0, d1, d2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a0, a1, a2 = -gravity * chain.gravity[0], -gravity * chain.gravity[1], -gravity * chain.gravity[2]
-    for i in range(len(qd)):
+    for i in range(len(force)):
+        speed, acceleration = chain.ratio[i] * qd[chain.coordinate[i]], chain.ratio[i] * qdd[chain.coordinate[i]]
         E, r0, r1, r2 = R[i], p[i, 0], p[i, 1], p[i, 2]
         # Acceleration of the frame's origin: a + ẇ × p + w × (w × p).
         y0, y1, y2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
@@ -177,16 +192,16 @@ def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array,
         z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
         x0, x1, x2 = w1 * z2 - w2 * z1, w2 * z0 - w0 * z2, w0 * z1 - w1 * z0
         if chain.prismatic[i] > 0.5:
-            a0 += 2.0 * x0 * qd[i] + z0 * qdd[i]
-            a1 += 2.0 * x1 * qd[i] + z1 * qdd[i]
-            a2 += 2.0 * x2 * qd[i] + z2 * qdd[i]
+            a0 += 2.0 * x0 * speed + z0 * acceleration
+            a1 += 2.0 * x1 * speed + z1 * acceleration
+            a2 += 2.0 * x2 * speed + z2 * acceleration
         else:
-            d0 += x0 * qd[i] + z0 * qdd[i]
-            d1 += x1 * qd[i] + z1 * qdd[i]
-            d2 += x2 * qd[i] + z2 * qdd[i]
-            w0 += z0 * qd[i]
-            w1 += z1 * qd[i]
-            w2 += z2 * qd[i]
+            d0 += x0 * speed + z0 * acceleration
+            d1 += x1 * speed + z1 * acceleration
+            d2 += x2 * speed + z2 * acceleration
+            w0 += z0 * speed
+            w1 += z1 * speed
+            w2 += z2 * speed
         # Force on the body and moment about the frame's origin.
         c0, c1, c2 = chain.com[i, 0], chain.com[i, 1], chain.com[i, 2]
         y0, y1, y2 = w1 * c2 - w2 * c1, w2 * c0 - w0 * c2, w0 * c1 - w1 * c0
@@ -206,10 +221,12 @@ def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array,
 def _torques_of_wrenches(chain: Chain, R: Array, p: Array, qdd: Array, force: Array, moment: Array, tau: Array
                          ) -> None:
     """Writes the joint torques, from the last link to the base; each joint carries the bodies behind it."""
-    for i in range(len(qdd) - 1, -1, -1):
+    for j in range(len(qdd)):
+        tau[j] = chain.armature[j] * qdd[j]
+    for i in range(len(force) - 1, -1, -1):
         load = force[i] if chain.prismatic[i] > 0.5 else moment[i]
-        tau[i] = (chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1] + chain.axis[i, 2] * load[2]
-                  + chain.armature[i] * qdd[i])
+        tau[chain.coordinate[i]] += chain.ratio[i] * (chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1]
+                                                      + chain.axis[i, 2] * load[2])
         if i > 0:
             E, f0, f1, f2, x0, x1, x2 = (R[i], force[i, 0], force[i, 1], force[i, 2], moment[i, 0], moment[i, 1],
                                          moment[i, 2])
@@ -235,7 +252,8 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
         gravity: factor on the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
         tau: result ``(n,)`` [N m], written to.
     """
-    force, moment = np.empty((len(qd), 3)), np.empty((len(qd), 3))
+    b = len(chain.mass)
+    force, moment = np.empty((b, 3)), np.empty((b, 3))
     _wrenches_on_bodies(chain, R, p, qd, qdd, gravity, force, moment)
     _torques_of_wrenches(chain, R, p, qdd, force, moment, tau)
 
@@ -250,7 +268,7 @@ def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
     """
     N, n = q.shape
     tau = np.empty((N, n))
-    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    R, p = frames_of(chain)
     for k in range(N):
         joint_frames(chain, q[k], R, p)
         torque_at(chain, R, p, qd[k], qdd[k], 1.0, tau[k])
@@ -267,7 +285,7 @@ def inverse_dynamics_with_point(chain: Chain, place: Array, q: Array, qd: Array,
     """
     N, n = q.shape
     tau, weight, kilogram = np.empty((N, n)), np.empty((N, n)), point_mass(chain, place)
-    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    R, p = frames_of(chain)
     for k in range(N):
         joint_frames(chain, q[k], R, p)
         torque_at(chain, R, p, qd[k], qdd[k], 1.0, tau[k])
@@ -291,7 +309,7 @@ def mass_matrix(chain: Chain, R: Array, p: Array, M: Array) -> None:
         R, p: from ``joint_frames``.
         M: result ``(n, n)`` [kg m²], written to.
     """
-    n = len(chain.mass)
+    n = len(chain.armature)
     rest, unit = np.zeros(n), np.zeros(n)
     for j in range(n):
         unit[j] = 1.0

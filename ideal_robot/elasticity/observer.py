@@ -24,6 +24,7 @@ from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, dynamics_with, side_of_gap, stiffness_with
 from ideal_robot.model.model import Model
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import spread_postures
 from ideal_robot.tolerances import SUBSTEP
 
@@ -62,7 +63,7 @@ class ArmObserver:
         self._elastic = np.isfinite(stiffness)
         self._k = np.where(self._elastic, stiffness, 0.0)
         identified = np.zeros(model.n) if model.gears is None else model.gears.known_damping
-        inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
+        inertia = np.diag(mass_matrix(self._dynamics, self._data, pin.neutral(self._dynamics)))
         damping = np.maximum(identified, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
         steps = max(1, round(T / SUBSTEP))
         self._leave_followed((T / steps) ** 2 * self._k + 2 * T / steps * damping)
@@ -72,7 +73,7 @@ class ArmObserver:
     def _leave_followed(self, pull: Array) -> None:
         """Makes gears rigid until the substep h follows the others' oscillation anywhere; ``pull`` is h² k + 2 h d."""
         for q in spread_postures(self._dynamics.lowerPositionLimit, self._dynamics.upperPositionLimit):
-            upper = pin.crba(self._dynamics, self._data, q)
+            upper = mass_matrix(self._dynamics, self._data, q)
             while len(gears := np.flatnonzero(self._elastic)):
                 root = np.sqrt(pull[gears])
                 # Beside rigid joints, which the motors lead, elastic ones move with their own part of the mass matrix.
@@ -103,7 +104,7 @@ class ArmObserver:
             return ObserverState(q, (q - state.q) / self._T, q, state.q, (q - state.q) / self._T)
         # Velocity at the end of the cycle from the parabola through the last three motor angles.
         v = (1.5 * q - 2.0 * state.q + 0.5 * state.before) / self._T
-        upper = pin.crba(self._dynamics, self._data, state.q_a)
+        upper = mass_matrix(self._dynamics, self._data, state.q_a)
         load = pin.nonLinearEffects(self._dynamics, self._data, state.q_a, state.v_a)
         if tau_ext is not None:
             load = load - tau_ext

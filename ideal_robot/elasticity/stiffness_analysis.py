@@ -25,6 +25,7 @@ from ideal_robot.elasticity.stiffness import (
 )
 from ideal_robot.errors import InputError
 from ideal_robot.results import Figure, Summarised, plain, with_intervals
+from ideal_robot.robots.joints import joint_motions, own_joints
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import plausible, require_joint_units
 from ideal_robot.signals.recording import Recording, recordings_of
@@ -96,9 +97,10 @@ def compliance_shapes(robot: Robot, q: Array) -> list[Array]:
     pin.framesForwardKinematics(robot.pinocchio, data, q)
     flange = data.oMf[robot.tool_id]
     shapes = [np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)]
-    for joint in range(1, robot.n + 1):
-        axis = np.array(pin.computeJointJacobian(robot.pinocchio, data, q, joint))[:, joint - 1]
-        across = np.linalg.svd(axis[None, 3:])[2][1:]
+    motions = joint_motions(robot.pinocchio)
+    about = np.where(motions.prismatic[:, None], 0.0, motions.axis)
+    for joint, axis in zip(own_joints(robot.pinocchio), about[motions.own], strict=True):
+        across = np.linalg.svd(axis[None])[2][1:]
         bending = (flange.inverse() * data.oMi[joint]).action[:, 3:] @ across.T
         shapes.append(bending @ bending.T)
     return shapes

@@ -203,7 +203,7 @@ def instants_of(t: Array, t_ipo: float) -> Array:
 
 def _order(names: Sequence[str], robot: Robot, path: Path) -> tuple[list[int], tuple[str, ...]]:
     """Places of the arm's joints among the named ones, in its order, and a warning about the others."""
-    own = list(robot.pinocchio.names)[1:]
+    own = list(robot.joint_names)
     if all(name in names for name in own):
         others = [name for name in names if name not in own]
         said = (f"joints left out that are not the arm's: {', '.join(others)}",) if others else ()

@@ -76,7 +76,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
     residuals = [s.decimate(s.tau - bend - variant.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
                  for variant in (model, bare)]
-    n, root, own = model.n, _root(model, dry, robot), _own_root(model)
+    layout, root, own = model.base.layout, _root(model, dry, robot), _own_root(model)
     # A wave is as large as the model's, at any angle.
     size = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
     counts = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None]
@@ -85,7 +85,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
     other = estimated(np.hstack([bodies, friction, waves]), residuals[1])
     # The very arm: what its model leaves open, an offset, friction and a heavier tool explain what is left.
-    very = estimated(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, 11 * n : 12 * n],
+    very = estimated(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, layout.offsets],
                                       bodies[:, -1], friction]), residuals[0])
     try:
         if evidence(very) >= evidence(other):
@@ -94,7 +94,8 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
         waving = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
                        for effect, (a, b) in zip(ripple, sizes, strict=True))
         return _with_bodies(replace(bare, effects=(*bare.effects, *waving)), model.base.grouping @ root, other,
-                            _nearby(model, root @ other.mean[: root.shape[1]], other.mean[12 * n : 13 * n]))
+                            _nearby(model, root @ other.mean[: root.shape[1]],
+                                    other.mean[layout.size : layout.size + layout.bodies]))
     except IdealRobotError:  # no bodies that can be: torques of something else
         return model
 
@@ -108,11 +109,11 @@ def _with_bodies(model: Model, root: Array, solution: Posterior, nearby: Array) 
 
 
 def _nearby(model: Model, change: Array, heavier: Array) -> Array:
-    """Physically possible full parameters ``(12 n,)``: values for what no motion determines, e.g. a rotor's share."""
-    n, full = model.n, np.array(model.consistent)
-    full[: 10 * n] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
-    full[10 * n :] += change[10 * n :]
-    full[10 * n : 11 * n] = np.maximum(full[10 * n : 11 * n], 0.0)
+    """Physically possible full parameters ``(p,)``: values for what no motion determines, e.g. a rotor's share."""
+    layout, full = model.base.layout, np.array(model.consistent)
+    full[layout.links] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
+    full[layout.rotors] = np.maximum(full[layout.rotors] + change[layout.rotors], 0.0)
+    full[layout.offsets] += change[layout.offsets]
     return full
 
 
@@ -140,11 +141,10 @@ def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> _ArmMoti
 
 
 def _bodies(s: FilteredSignals, model: Model, arm: _ArmMotion, rows: slice) -> Array:
-    """What links, which move as the arm does, rotors and offsets count ``(k, n, 12 n)`` [N m]."""
-    n = model.n
+    """What links, which move as the arm does, rotors and offsets count ``(k, n, p)`` [N m]."""
     counts = full_regressor(model.kinematics, arm.q[rows], arm.qd[rows], arm.qdd[rows])
-    joint = np.arange(n)
-    counts[:, joint, 10 * n + joint] = s.qdd[rows]
+    joint = np.arange(model.n)
+    counts[:, joint, model.base.layout.rotors.start + joint] = s.qdd[rows]
     return counts
 
 
@@ -179,12 +179,13 @@ def _own_root(model: Model) -> Array:
 
 
 def _root(model: Model, dry: Array, robot: Robot) -> Array:
-    """A root of the covariance of bodies, rotors and offsets ``(12 n, 13 n + 1)``; last come weights and the tool."""
-    n, full = model.n, np.array(model.consistent)
-    single = np.concatenate([LINK * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
-    weights, tool = np.zeros((12 * n, n)), np.zeros(12 * n)
-    for i in range(n):
-        weights[10 * i : 10 * i + 10, i] = LINK * full[10 * i : 10 * i + 10]
+    """A root of the covariance of bodies, rotors and offsets ``(p, p + links + 1)``; last come weights and the tool."""
+    layout, full = model.base.layout, np.array(model.consistent)
+    single = np.concatenate([LINK * parameter_scales(full, layout)[layout.links], ROTOR * full[layout.rotors],
+                             OFFSET * dry])
+    weights, tool = np.zeros((layout.size, layout.bodies)), np.zeros(layout.size)
+    for i in range(layout.bodies):
+        weights[layout.link(i), i] = LINK * full[layout.link(i)]
     kilogram = pin.Inertia(1.0, robot.tool_place, np.zeros((3, 3)))
-    tool[10 * n - 10 : 10 * n] = unknown_mass(dry) * kilogram.toDynamicParameters()
+    tool[layout.carried_by(0)] = unknown_mass(dry) * kilogram.toDynamicParameters()
     return np.column_stack([np.diag(single), weights, tool])

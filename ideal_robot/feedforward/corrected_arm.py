@@ -15,6 +15,7 @@ from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.joints import joint_motions, own_joints
 from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.tolerances import CORRECTION_SPACING, CORRECTION_STEPS, DAMPING
 
@@ -89,16 +90,13 @@ def taken_up(t: Array) -> Array:
 def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array, change: LoopChange) -> None:
     """Moves all that is behind a joint (from 1) in the joint's own frame, as a change of its geometry says."""
     a, d, alpha, theta = change.geometry or (0.0, 0.0, 0.0, 0.0)
-    data = robot.pinocchio.createData()
-    pin.computeJointJacobians(robot.pinocchio, data, pin.neutral(robot.pinocchio))
-    jacobian = pin.getJointJacobian(robot.pinocchio, data, joint, pin.ReferenceFrame.LOCAL)
-    column = np.asarray(jacobian).reshape(6, -1)[:, joint - 1]
-    axis = column[3:] if np.linalg.norm(column[3:]) > 0.5 else column[:3]
+    number = own_joints(robot.pinocchio)[joint - 1]
+    axis = joint_motions(robot.pinocchio).axis[number - 1]
     moved = pin.SE3(pin.exp3(alpha * normal + (theta + change.zero) * axis), a * normal + d * axis)
-    if joint < model.nv:
-        model.jointPlacements[joint + 1] = moved * model.jointPlacements[joint + 1]
+    if number < model.njoints - 1:
+        model.jointPlacements[number + 1] = moved * model.jointPlacements[number + 1]
     for frame in model.frames:
-        if frame.parentJoint == joint:
+        if frame.parentJoint == number:
             frame.placement = moved * frame.placement
 
 

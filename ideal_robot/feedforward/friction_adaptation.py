@@ -30,7 +30,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, point_mass, torque_at
+from ideal_robot.dynamics.newton_euler import (
+    Chain,
+    frames_of,
+    inverse_dynamics,
+    joint_frames,
+    point_mass,
+    torque_at,
+)
 from ideal_robot.estimate.recursive import predict, update
 from ideal_robot.feedforward.base import FASTEST, Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
@@ -242,7 +249,8 @@ def _learned(known: _Known, window: Window, further: Array, estimate: _Estimate)
     for i in range(n):
         if abs(speed[i]) > known.v_max[1, i] or abs(window.q[CYCLES // 2, i] - motion.q[0, i]) > _LAG:
             return False
-    R, p, torques = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, n))
+    R, p = frames_of(known.chain)
+    torques = np.empty((3, n))
     joint_frames(known.chain, motion.q[0], R, p)
     torque_at(known.chain, R, p, motion.v[0], motion.a[0], 1.0, torques[0])
     torque_at(known.chain, R, p, motion.v[0], np.zeros(n), 1.0, torques[1])

@@ -31,6 +31,7 @@ from scipy import linalg, special
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import regressor
+from ideal_robot.dynamics.regressor import link_parameters
 from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
 from ideal_robot.estimate.noise import ORDER, ColouredNoise
 from ideal_robot.robots.robot import Robot
@@ -433,16 +434,15 @@ def _bodies(s: FilteredSignals, robot: Robot, gravity: tuple[float, float, float
 
 
 def link_prior(robot: Robot) -> tuple[Array, Array]:
-    """Mean of the links' parameters ``(10 n,)`` by the URDF, and a root of their covariance ``(10 n, 10 n)``."""
-    n, model = robot.n, robot.pinocchio
-    mean = np.concatenate([np.asarray(model.inertias[j + 1].toDynamicParameters()) for j in range(n)])
-    data = model.createData()
+    """Mean of the links' parameters ``(10 b,)`` by the URDF, and a root of their covariance ``(10 b, 10 b)``."""
+    model = robot.pinocchio
+    b, mean, data = model.njoints - 1, link_parameters(model), model.createData()
     pin.forwardKinematics(model, data, robot.home)
-    places = [data.oMi[j + 1].translation for j in range(n)] + [np.asarray(robot.fk()(robot.home).translation)]
+    places = [data.oMi[j + 1].translation for j in range(b)] + [np.asarray(robot.fk()(robot.home).translation)]
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     lengths = np.maximum(lengths, _LEAST_LENGTH * max(float(lengths.sum()), 1.0))
     least = _LEAST_MASS * max(float(mean[::10].sum()), 1e-3)
-    root = np.zeros((10 * n, 10 * n))
+    root = np.zeros((10 * b, 10 * b))
     for j, length in enumerate(lengths):
         own = slice(10 * j, 10 * j + 10)
         mass = max(float(mean[10 * j]), least)

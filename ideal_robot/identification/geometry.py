@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import own_joints
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import POSE, Recording
 
@@ -63,7 +64,7 @@ def _equations(qa: Array, measured: Sequence[pin.SE3], robot: Robot) -> tuple[Ar
         tool = data.oMf[robot.tool_id]
         y[i] = np.concatenate([pose.translation - tool.translation, pin.log3(pose.rotation @ tool.rotation.T)])
         frames = [(np.eye(3), np.zeros(3)), *((data.oMi[model.parents[j]].rotation, data.oMi[j].translation)
-                                              for j in range(1, robot.n + 1))]
+                                              for j in own_joints(model))]
         for k, (R, place) in enumerate(frames):
             W[i, :3, 6 * k : 6 * k + 3] = W[i, 3:, 6 * k + 3 : 6 * k + 6] = R
             W[i, :3, 6 * k + 3 : 6 * k + 6] = -pin.skew(tool.translation - place) @ R

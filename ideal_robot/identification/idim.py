@@ -54,7 +54,8 @@ def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bo
 
     def columns(s: FilteredSignals, stride: int) -> Array:
         q, qd, qdd = s.q[::stride], s.qd[::stride], s.qdd[::stride]
-        W = full_regressor(robot.pinocchio, q, qd, qdd, [*base.independent, *range(12 * n, 14 * n)])
+        beyond = base.layout.size + np.arange(2 * n)
+        W = full_regressor(robot.pinocchio, q, qd, qdd, [*base.independent, *beyond])
         joints = np.arange(n)
         W[:, joints, base.count + joints] = qd
         # Its jumps have all frequencies, unlike the rest.

@@ -259,7 +259,7 @@ class JointProblem:
 
     def _load(self, full: Array) -> list[Array]:
         """Torque of the links alone, which the gears transmit, per recording ``(N, n)``."""
-        links = with_link_parameters(self._robot.pinocchio, full[: 10 * self._robot.n])
+        links = with_link_parameters(self._robot.pinocchio, full[self._base.layout.links])
         links.armature = np.zeros(self._robot.n)
         return [torques(links, s.q, s.qd, s.qdd) for s in self._signals]
 

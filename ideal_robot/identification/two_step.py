@@ -261,10 +261,9 @@ def _prior(base: BaseParameters, nominal: Array, robot: Robot) -> Array:
     Returns the covariance of the base parameters ``(b, b)``. Single-axis moves at a few operating points leave
     combinations of small parameters open; without this the fit would fill them with noise.
     """
-    n = robot.n
-    scale = parameter_scales(nominal, n)
+    scale = parameter_scales(nominal, base.layout)
     limit = np.where(np.isfinite(robot.tau_max), robot.tau_max, 100.0)
-    scale[11 * n :] = 0.02 * limit
+    scale[base.layout.offsets] = 0.02 * limit
     return np.asarray((base.grouping * scale**2) @ base.grouping.T)
 
 

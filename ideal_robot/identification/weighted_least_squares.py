@@ -339,12 +339,12 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     torque = np.maximum(np.nan_to_num(np.std(y, axis=0)), 1e-9)
     nominal = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(n)])
     unit = _gain(robot, signals) if amperes else 1.0
-    scale = unit * parameter_scales(nominal, n)
-    rotors = slice(10 * n, 11 * n)
+    layout = base.layout
+    scale, rotors = unit * parameter_scales(nominal, layout), layout.rotors
     as_links = scale[rotors].copy()
     scale[rotors] = np.maximum(scale[rotors], torque / np.maximum(np.std(acceleration, axis=0), 1e-6))
-    weight = unit * G * np.cumsum(nominal[: 10 * n : 10][::-1])[::-1]
-    scale[11 * n :] = np.where(robot.prismatic, np.maximum(weight, torque), _OFFSET * torque)
+    weight = unit * G * np.cumsum(nominal[layout.links][::-10])[::-1][list(layout.own)]
+    scale[layout.offsets] = np.where(robot.prismatic, np.maximum(weight, torque), _OFFSET * torque)
     covariance = (base.grouping * scale**2) @ base.grouping.T
     size = np.sqrt(np.diag(covariance))
     inverse = np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames, mass_matrix
+from ideal_robot.dynamics.newton_euler import Chain, chain_of, frames_of, joint_frames, mass_matrix
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.table import Friction, braking, distance_with
@@ -48,8 +48,8 @@ def with_rotors(chain: Chain, rotor_inertia: Array, q_min: Array, q_max: Array) 
 
 def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
     """Least inertia ``(n,)`` that each joint feels of the links while the others are free, over postures."""
-    n = len(chain.mass)
-    R, p, M = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n))
+    n = len(chain.armature)
+    (R, p), M = frames_of(chain), np.empty((n, n))
     least = np.full(n, np.inf)
     for q in spread_postures(q_min, q_max):
         joint_frames(chain, q, R, p)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, mass_matrix, torque_at
+from ideal_robot.dynamics.newton_euler import Chain, frames_of, inverse_dynamics, joint_frames, mass_matrix, torque_at
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.table import Friction
@@ -242,7 +242,7 @@ def mass_at(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
         q: joint angles ``(n,)`` [rad].
     """
     n = len(q)
-    R, p, M = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n))
+    (R, p), M = frames_of(chain), np.empty((n, n))
     joint_frames(chain, q, R, p)
     mass_matrix(chain, R, p, M)
     return M + np.diag(rotor_inertia)
@@ -275,7 +275,7 @@ def sheet_torque(compensation: Compensation, q: Array, v: Array) -> Array:
     n = len(q)
     torque = np.zeros(n)
     if np.any(compensation.bodies != 0.0):
-        R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+        R, p = frames_of(compensation.sheet)
         joint_frames(compensation.sheet, q, R, p)
         torque_at(compensation.sheet, R, p, v, np.zeros(n), 1.0, torque)
     return compensation.bodies * torque

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
+from ideal_robot.dynamics.newton_euler import Chain, frames_of, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.friction.table import Friction, Presliding, friction_along, friction_step
@@ -97,7 +97,7 @@ def simulate(loop: Loop, q_c: Array, *, tau_ext: Array | None = None) -> LoopMot
     reference = low_passed(interpolated(q_c, q0, loop), q0, loop.path.command_filter)
     external = np.zeros_like(q_c) if tau_ext is None else np.ascontiguousarray(tau_ext, dtype=float)
     loop = _with_gears(loop, q0)
-    R, p, tau0 = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty(loop.n)
+    (R, p), tau0 = frames_of(loop.chain), np.empty(loop.n)
     joint_frames(loop.chain, q0, R, p)
     torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
     try:
@@ -121,7 +121,7 @@ def _with_gears(loop: Loop, q: Array) -> Loop:
     """
     drives, dt = loop.drives, loop.path.t_velocity
     rigid, rotor = np.isinf(drives.stiffness), drives.rotor_inertia
-    R, p, M = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty((loop.n, loop.n))
+    (R, p), M = frames_of(loop.chain), np.empty((loop.n, loop.n))
     joint_frames(loop.chain, q, R, p)
     mass_matrix(loop.chain, R, p, M)
     added = np.where(rigid & (np.diag(M) < 0.1 * rotor), 0.1 * rotor, 0.0)
@@ -227,7 +227,7 @@ def _play(chain: Chain, drives: Drives, friction: Friction, controller: tuple[Ca
     share = 1.0 - np.exp(-t_position / cascade.t_rate) if cascade.t_rate > 0.0 else 1.0
     q_a, v_a, q_m, v_m, load = state.q_a, state.v_a, state.q_m, state.v_m, state.load
     v_ref, bias, rise, acceleration = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
-    R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
+    (R, p), M, zero = frames_of(chain), np.empty((n, n)), np.zeros(n)
     for step in range(span[0], span[1]):
         cycle = step // steps_ipo
         r = reference[step]

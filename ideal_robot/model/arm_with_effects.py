@@ -24,7 +24,7 @@ def chain_with(chain: Chain, changes: Changes) -> Chain:
     gravity, rotation, position = chain.gravity.copy(), chain.rotation.copy(), chain.position.copy()
     for effect, change in changes:
         # The whole arm's body (joint 0) is on the last link.
-        j = effect.joint - 1
+        j = int(chain.own[effect.joint - 1]) if effect.joint > 0 else -1
         if change.body:
             mass[j], com[j], inertia[j] = _joined_bodies(mass[j], com[j], inertia[j], change.body)
         if change.gravity is not None:
@@ -42,7 +42,7 @@ def dynamics_with(dynamics: pin.Model, changes: Changes) -> pin.Model:
     if not changes:
         return dynamics.copy()
     model, chain = dynamics.copy(), chain_with(chain_of(dynamics), changes)
-    for j in range(model.nv):
+    for j in range(model.njoints - 1):
         model.inertias[j + 1] = pin.Inertia(float(chain.mass[j]), chain.com[j], chain.inertia[j])
         model.jointPlacements[j + 1] = pin.SE3(chain.rotation[j], chain.position[j])
     model.gravity.linear = chain.gravity

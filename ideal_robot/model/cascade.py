@@ -16,6 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError
 from ideal_robot.model.parametrisation import ControllerModel
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import Robot, spread_postures
 
 CLASS = "class"
@@ -126,7 +127,7 @@ def given_controller(wanted: str | Path, dynamics: pin.Model, robot: Robot) -> C
 def moved_inertia(dynamics: pin.Model, robot: Robot) -> Array:
     """Inertia that each joint moves, over postures of its range, its rotor included ``(n,)`` [kg m², or kg]."""
     data = dynamics.createData()
-    return np.asarray(np.mean([pin.crba(dynamics, data, q).diagonal()
+    return np.asarray(np.mean([mass_matrix(dynamics, data, q).diagonal()
                                for q in spread_postures(robot.q_min, robot.q_max)], axis=0))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import joint_motions
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import model_of
 
@@ -47,8 +48,12 @@ class DescribedArm:
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
         if self.kinematics.nv != robot.n:
             return f"the model of {self.name} has {self.kinematics.nv} joints, the robot {robot.name} has {robot.n}"
-        elsewhere = [j for j in range(1, robot.n + 1)
-                     if not np.allclose(mine[j].homogeneous, own[j].homogeneous, atol=_SAME_PLACE)]
+        places = list(zip(list(mine)[1:], list(own)[1:], strict=False))
+        elsewhere = [j for j, (one, other) in enumerate(places, start=1)
+                     if not np.allclose(one.homogeneous, other.homogeneous, atol=_SAME_PLACE)]
+        if len(mine) != len(own) or joint_motions(self.kinematics).angles(np.ones(robot.n)).tolist() != joint_motions(
+                robot.pinocchio).angles(np.ones(robot.n)).tolist():
+            return f"joints of the model of {self.name} follow others than those of {robot.name}"
         return (f"joint {elsewhere[0]} of the model of {self.name} sits elsewhere than that of {robot.name}"
                 if elsewhere else "")
 

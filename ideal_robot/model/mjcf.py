@@ -28,6 +28,7 @@ from ideal_robot.model.cascade import Cascade, beside_cascade
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import urdf_with_inertials
 from ideal_robot.model.parametrisation import coefficient_columns, friction_places, parameter_vector
+from ideal_robot.robots.joints import joint_motions, mass_matrix, own_joints, without_followers
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.tolerances import WRITTEN
@@ -124,19 +125,22 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
     model.require_torques()
     library = mujoco()
     spec, compiled = _spec(library, like, model)
-    names = _matched(list(model.kinematics.names)[1:], [joint.name for joint in spec.joints], like)
-    frames = _frames(library, compiled, names, model.kinematics, like)
+    every = _matched(list(model.kinematics.names)[1:], [joint.name for joint in spec.joints], like)
+    frames, layout = _frames(library, compiled, every, model.kinematics, like), model.base.layout
     comments: dict[str, str] = {}
     rotors = rotor_std(model)
-    full = _bodies(model, _carried(library, compiled, names, frames), rotors)
-    for j, name in enumerate(names):
-        joint = spec.joint(name)
-        body = joint.parent
-        _set_inertia(body, frames[j].act(pin.Inertia.FromDynamicParameters(full[10 * j : 10 * j + 10])))
+    full = _bodies(model, _carried(library, compiled, every, frames), rotors)
+    for i, name in enumerate(every):
+        body = spec.joint(name).parent
+        _set_inertia(body, frames[i].act(pin.Inertia.FromDynamicParameters(full[layout.link(i)])))
         for fixed in _fixed_bodies(body):
             _set_inertia(fixed, pin.Inertia.Zero())
+    _follow(library, spec, model.kinematics, every)
+    names = [every[i] for i in layout.own]
+    for j, name in enumerate(names):
+        joint = spec.joint(name)
         friction, unit = friction_of(model, j), model.units("N m")[j]
-        joint.armature, joint.frictionloss = float(full[10 * model.n + j]), friction.loss
+        joint.armature, joint.frictionloss = float(full[layout.rotors][j]), friction.loss
         joint.damping = _like(joint.damping, friction.damping)
         comments[name] = (f"frictionloss ± {friction.loss_std:.2g} {unit}, damping ± {friction.damping_std:.2g} "
                           f"{unit} s, {_rotor_words(model, j, rotors[j])}")
@@ -192,6 +196,21 @@ def _read(library: Any, path: str | Path) -> tuple[Any, Any]:
         raise InputError(f"MuJoCo cannot read it ({' '.join(str(error).split())[:200]})", file=path) from error
 
 
+def _follow(library: Any, spec: Any, kinematics: pin.Model, names: list[str]) -> None:
+    """Makes joints that follow others do so by equality constraints, where the description has none of theirs yet."""
+    motions, own = joint_motions(kinematics), own_joints(kinematics)
+    held = {name for equality in spec.equalities if equality.type == library.mjtEq.mjEQ_JOINT
+            for name in (equality.name1, equality.name2)}
+    for i in np.flatnonzero(~motions.own).tolist():
+        joint = spec.joint(names[i])
+        joint.armature, joint.frictionloss, joint.damping = 0.0, 0.0, _like(joint.damping, 0.0)
+        if names[i] not in held:
+            followed = names[own[motions.coordinate[i]] - 1]
+            polynomial = [float(motions.offset[i]), float(motions.ratio[i]), *[0.0] * 9]
+            spec.add_equality(type=library.mjtEq.mjEQ_JOINT, objtype=library.mjtObj.mjOBJ_JOINT, name1=names[i],
+                              name2=followed, data=polynomial)
+
+
 def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list[str]:
     """Their names of our joints: the same, all of them with one word before, or the only ones that end so."""
     before = {other.removesuffix(own[0]) for other in theirs if other.endswith(own[0])}
@@ -214,18 +233,19 @@ def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list
 def _frames(library: Any, compiled: Any, names: list[str], kinematics: pin.Model, file: str | Path | None
             ) -> list[pin.SE3]:
     """Where our joint frames are in the bodies that carry these joints, both with all joints at zero."""
-    data, own = library.MjData(compiled), kinematics.createData()
+    # Theirs stand at zero whatever they follow.
+    motions, free = joint_motions(kinematics), without_followers(kinematics)
+    data, own = library.MjData(compiled), free.createData()
     for name in names:
         data.qpos[compiled.joint(name).qposadr] = 0.0
     library.mj_forward(compiled, data)
-    pin.forwardKinematics(kinematics, own, pin.neutral(kinematics))
+    pin.forwardKinematics(free, own, pin.neutral(free))
     theirs, mine = [], []
     for j, name in enumerate(names):
         place, axis = data.xanchor[compiled.joint(name).id], data.xaxis[compiled.joint(name).id]
         ours = own.oMi[j + 1]
-        turning = kinematics.joints[j + 1]
         theirs += [place, place + axis]
-        mine += [ours.translation, ours.translation + ours.rotation @ _axis_of(kinematics, turning, j + 1)]
+        mine += [ours.translation, ours.translation + ours.rotation @ motions.axis[j]]
     moved = _fitted(np.array(mine), np.array(theirs))
     away = np.array(mine) @ moved.rotation.T + moved.translation - np.array(theirs)
     off = float(np.linalg.norm(away, axis=1).max())
@@ -240,14 +260,6 @@ def _frames(library: Any, compiled: Any, names: list[str], kinematics: pin.Model
     return frames
 
 
-def _axis_of(kinematics: pin.Model, joint: Any, index: int) -> Array:
-    """Direction of a joint's axis in its frame ``(3,)``."""
-    data = kinematics.createData()
-    jacobian = pin.computeJointJacobian(kinematics, data, pin.neutral(kinematics), index)[:, joint.idx_v]
-    part = jacobian[:3] if joint.shortname().startswith("JointModelP") else jacobian[3:]
-    return np.asarray(part / np.linalg.norm(part))
-
-
 def _fitted(points: Array, onto: Array) -> pin.SE3:
     """The rigid motion that takes points ``(N, 3)`` nearest to others."""
     middle, other = points.mean(axis=0), onto.mean(axis=0)
@@ -257,28 +269,29 @@ def _fitted(points: Array, onto: Array) -> pin.SE3:
 
 
 def _bodies(model: Model, carried: Array, rotors: Array) -> Array:
-    """Physically possible full parameters ``(12 n,)`` of the links without what other joints move.
+    """Physically possible full parameters ``(p,)`` of the links without what other joints move.
 
     Args:
         model: identified; its links hold all that moves with them.
-        carried: full parameters ``(12 n,)`` of what other joints move.
+        carried: parameters ``(10 b,)`` of what other joints move, by the ``b`` links that it hangs on.
         rotors: standard deviations of the rotor inertias ``(n,)``.
     """
     if not np.any(carried):
         return model.consistent
+    carried = np.concatenate([carried, np.zeros(2 * model.n)])
     base, count = model.base, model.base.count
     return consistent_parameters(base, model.base_values - base.of(carried), model.covariance[:count, :count],
                                  model.consistent, rotors).full
 
 
 def _carried(library: Any, compiled: Any, names: list[str], frames: list[pin.SE3]) -> Array:
-    """Full parameters ``(12 n,)`` of what other joints than the identified ones move, where the file has them.
+    """Link parameters ``(10 b,)`` of what other joints than the identified ones move, where the file has them.
 
     Args:
         library, compiled: MuJoCo, and the description.
-        names, frames: the identified joints, and where their frames are in the bodies that carry them.
+        names, frames: the identified joints along the chain, and where their frames are in the bodies that carry them.
     """
-    data, parameters = library.MjData(compiled), np.zeros(12 * len(names))
+    data, parameters = library.MjData(compiled), np.zeros(10 * len(names))
     library.mj_forward(compiled, data)
     carriers = {int(compiled.jnt_bodyid[compiled.joint(name).id]): j for j, name in enumerate(names)}
     for body in range(1, compiled.nbody):
@@ -333,16 +346,16 @@ def rotor_std(model: Model) -> Array:
     parameters are; of rotors nothing is known beforehand: ``(G Σ G' + C)`` is what the parameters differ by, with G the
     grouping and C their covariance.
     """
-    n, base = model.n, model.base
-    nominal = np.concatenate([link_parameters(model.kinematics), model.rotor_inertia, np.zeros(n)])
-    scale = parameter_scales(nominal, n)
+    base, layout = model.base, model.base.layout
+    nominal = np.concatenate([link_parameters(model.kinematics), model.rotor_inertia, np.zeros(model.n)])
+    scale = parameter_scales(nominal, layout)
     spread = (BODY * scale) ** 2
-    links = np.zeros((n, len(nominal)))
-    for i in range(n):
-        links[i, 10 * i : 10 * i + 10] = LINK * nominal[10 * i : 10 * i + 10]
-    rotors = slice(10 * n, 11 * n)
+    links = np.zeros((layout.bodies, len(nominal)))
+    for i in range(layout.bodies):
+        links[i, layout.link(i)] = LINK * nominal[layout.link(i)]
+    rotors = layout.rotors
     spread[rotors] = (VAGUE * np.maximum(model.rotor_inertia, scale[rotors])) ** 2
-    spread[11 * n :] = (VAGUE * np.maximum(np.abs(model.offset), 1.0)) ** 2
+    spread[layout.offsets] = (VAGUE * np.maximum(np.abs(model.offset), 1.0)) ** 2
     prior = np.diag(spread) + links.T @ links
     G, C = base.grouping, model.covariance[: base.count, : base.count]
     off = model.base_values - base.of(nominal)
@@ -351,7 +364,7 @@ def rotor_std(model: Model) -> Array:
         whole = G @ prior @ G.T + C
         larger = max(1.0, float(off @ np.linalg.solve(whole, off)) / base.count)
         bodies = np.ones(len(nominal))
-        bodies[: 10 * n] = np.sqrt(larger)
+        bodies[layout.links] = np.sqrt(larger)
         prior = bodies[:, None] * prior * bodies
     whole = G @ prior @ G.T + C
     left = prior - prior @ G.T @ np.linalg.solve(whole, G @ prior)
@@ -388,7 +401,7 @@ def _explicit_cycle(model: Model) -> float | None:
     data, low, high = model.dynamics.createData(), *(np.clip(limit, -np.pi, np.pi) for limit in (
         model.kinematics.lowerPositionLimit, model.kinematics.upperPositionLimit))
     damping = np.diag([servo.damping for servo in servos if servo is not None])
-    fastest = [np.linalg.eigvals(np.linalg.solve(pin.crba(model.dynamics, data, q), damping)).real.max()
+    fastest = [np.linalg.eigvals(np.linalg.solve(mass_matrix(model.dynamics, data, q), damping)).real.max()
                for q in spread_postures(low, high)]
     return command.t_cycle if command.t_cycle * float(np.max(fastest)) < EXPLICIT else None
 
@@ -500,9 +513,9 @@ def _unsaid_of_controllers(model: Model) -> Iterator[str]:
 def urdf_with_dynamics(model: Model) -> str:
     """The URDF with the consistent inertias and ``<dynamics damping friction>`` of each joint."""
     model.require_torques()
-    text = urdf_with_inertials(model.arm.urdf, model.kinematics, model.consistent[: 10 * model.n])
+    text = urdf_with_inertials(model.arm.urdf, model.kinematics, model.consistent[model.base.layout.links])
     root = ET.fromstring(text)
-    names = list(model.kinematics.names)[1:]
+    names = [model.kinematics.names[j] for j in own_joints(model.kinematics)]
     for joint in root.findall("joint"):
         if joint.get("name") not in names:
             continue

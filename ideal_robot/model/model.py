@@ -14,7 +14,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.command.law import CommandLaw
 from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameters, with_link_parameters
-from ideal_robot.dynamics.base_parameters import full_regressor
+from ideal_robot.dynamics.base_parameters import FullLayout, full_regressor
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, gravity_across, inverse_dynamics
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
@@ -97,7 +97,7 @@ class Model(Summarised):
 
         Where the arm's motion cannot tell one from a link inertia it is the physically consistent choice that counts.
         """
-        return self.consistent[10 * self.n : 11 * self.n]
+        return self.consistent[self.base.layout.rotors]
 
     @property
     def by_law(self) -> bool:
@@ -117,7 +117,7 @@ class Model(Summarised):
     @property
     def offset(self) -> Array:
         """Constant torque offsets ``(n,)`` [N m]."""
-        return self._exact[11 * self.n :]
+        return self._exact[self.base.layout.offsets]
 
     @property
     def kinematics(self) -> pin.Model:
@@ -127,7 +127,7 @@ class Model(Summarised):
     @cached_property
     def dynamics(self) -> pin.Model:
         """Pinocchio model with the physically consistent inertias and rotor inertias (``armature``), for simulation."""
-        model = with_link_parameters(self.kinematics, self.consistent[: 10 * self.n])
+        model = with_link_parameters(self.kinematics, self.consistent[self.base.layout.links])
         model.armature = np.array(self.rotor_inertia)
         return model
 
@@ -146,7 +146,7 @@ class Model(Summarised):
 
     @cached_property
     def _exact_model(self) -> pin.Model:
-        model = with_link_parameters(self.kinematics, self._exact[: 10 * self.n])
+        model = with_link_parameters(self.kinematics, self._exact[self.base.layout.links])
         model.armature = np.zeros(self.n)
         return model
 
@@ -186,7 +186,7 @@ class Model(Summarised):
             cycle = self.controller.t_cycle if self.controller else 0.012
             times: Array = np.asarray(cycle * np.arange(len(q)) if t is None else t, dtype=float)
             # The regressor of the last link is what takes time: a payload alone asks for it.
-            body = self._body_on(self.n, q, qd, qdd) if any(effect.joint == 0 for effect in acting) else None
+            body = self._body_on(0, q, qd, qdd) if any(effect.joint == 0 for effect in acting) else None
             still = np.zeros_like(q)
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
                               constant=constant_of_weight(self.offset, self.rigid_body(q, still, still)),
@@ -199,7 +199,7 @@ class Model(Summarised):
 
     def _own_torque(self, qdd: Array) -> Array:
         """What rotors and offsets ask of the motors ``(N, n)`` [N m]."""
-        return self._exact[10 * self.n : 11 * self.n] * qdd + self.offset
+        return self._exact[self.base.layout.rotors] * qdd + self.offset
 
     def _decimated_torque(self, s: FilteredSignals) -> Array:
         """``inverse_dynamics`` of filtered signals, decimated ``(M, n)`` [N m]."""
@@ -212,8 +212,8 @@ class Model(Summarised):
         return smooth + s.decimate(self.friction.torque(s.qd, None, s.q))
 
     def _body_on(self, link: int, q: Array, qd: Array, qdd: Array) -> Array:
-        """Regressor ``(N, n, 10)`` of a body rigidly on a link (from 1)."""
-        return regressor(self.kinematics, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link]
+        """Regressor ``(N, n, 10)`` of a body rigidly on the link of a joint (from 1), or on the last one (0)."""
+        return regressor(self.kinematics, q, qd, qdd)[:, :, self.base.layout.carried_by(link)]
 
     def predict(self, recording: Recording) -> Prediction:
         """Torque the model expects for a recording, with its uncertainty, beside what was measured.
@@ -299,10 +299,12 @@ class Model(Summarised):
         """Reads what ``to_dict`` wrote; raises InputError, with the ``file`` they come from, if values are missing."""
         try:
             base = values["base"]
+            arm = DescribedArm(values["robot"]["name"], values["robot"]["urdf"], values["robot"]["urdf_hash"])
             model = cls(
-                arm=DescribedArm(values["robot"]["name"], values["robot"]["urdf"], values["robot"]["urdf_hash"]),
+                arm=arm,
                 base=BaseParameters(tuple(base["full_names"]), tuple(base["full_units"]), tuple(base["independent"]),
-                                    np.array(base["grouping"], dtype=float), tuple(base["gravitational"])),
+                                    np.array(base["grouping"], dtype=float), tuple(base["gravitational"]),
+                                    FullLayout.of(arm.kinematics)),
                 base_values=np.array(base["values"], dtype=float),
                 friction=PerJointFriction.from_dict(values["friction"]),
                 covariance=np.array(values["covariance"], dtype=float),
@@ -331,4 +333,5 @@ class Model(Summarised):
     def export_urdf(self, path: str | Path) -> Path:
         """Writes the URDF with the physically consistent inertias; what is fixed to a link is merged into it."""
         self.require_torques()
-        return write_text(path, urdf_with_inertials(self.arm.urdf, self.kinematics, self.consistent[: 10 * self.n]))
+        links = self.consistent[self.base.layout.links]
+        return write_text(path, urdf_with_inertials(self.arm.urdf, self.kinematics, links))

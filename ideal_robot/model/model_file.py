@@ -18,6 +18,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import MAX_NUMBER, read_json
 from ideal_robot.command.law import require_law
 from ideal_robot.dynamics import BaseParameters, with_link_parameters
+from ideal_robot.dynamics.base_parameters import FOLLOWING
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
 from ideal_robot.model.cascade import SPREAD, per_joint
@@ -56,7 +57,7 @@ def urdf_with_inertials(urdf: str, kinematics: pin.Model, parameters: Array) -> 
 
     Args:
         urdf, kinematics: text of the URDF, and its Pinocchio model.
-        parameters: ``(10 n,)``, see ``LINK_PARAMETERS``.
+        parameters: ``(10 b,)`` of ``b`` links, see ``LINK_PARAMETERS``.
     """
     root = ET.fromstring(urdf)
     links = {link.get("name"): link for link in root.findall("link")}
@@ -97,7 +98,6 @@ def _inertial(body: pin.Inertia) -> ET.Element:
     return element
 
 
-_SYMBOLS = 12
 """Full parameters a joint: ten of its link, its rotor inertia, its torque offset."""
 _ROUNDED = 1e-3
 """Of correlations, what rounding may have made of them in the inverse of badly conditioned equations."""
@@ -112,8 +112,8 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     """
     _texts(model, file)
     n, b = int(model.kinematics.nv), len(model.base.independent)
-    p = _SYMBOLS * n
     friction, base, gears = model.friction, model.base, model.gears
+    p = base.layout.size
     if friction.n != n:
         raise InputError(f"expected the laws of {n} joints, got {friction.n}", file=file, field="friction")
     for j, law in enumerate(friction.laws):
@@ -151,7 +151,7 @@ def _texts(model: Any, file: Path | str | None) -> None:
 
 
 def _base(base: BaseParameters, n: int, file: Path | str | None) -> None:
-    b, p = len(base.independent), _SYMBOLS * n
+    b, p = len(base.independent), base.layout.size
     for key, names, length in (("base.full_names", base.full_names, p), ("base.full_units", base.full_units, p),
                                ("base.gravitational", base.gravitational, b)):
         if len(names) != length:
@@ -163,7 +163,7 @@ def _base(base: BaseParameters, n: int, file: Path | str | None) -> None:
     if not all(isinstance(i, int) and 0 <= i < p for i in base.independent) or len(set(base.independent)) != b:
         raise InputError(f"expected different numbers from 0 to {p - 1}", file=file, field="base.independent")
     for i in base.independent:
-        joint = base.full_names[i].rpartition("_")[2]
+        joint = base.full_names[i].rpartition("_")[2].rstrip(FOLLOWING)
         if not (joint.isascii() and joint.isdigit() and 1 <= int(joint) <= n):
             raise InputError("expected names such as Izz_3", file=file, field="base.full_names",
                              value=base.full_names[i][:40])

@@ -1,4 +1,4 @@
-"""From a public URDF to the serial arm in it: grippers and what follows other joints are held, turns get limits."""
+"""From a public URDF to the serial arm in it: grippers and what is beside the chain are held, turns get limits."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.urdf import check_text
 
 TURNS = 2.0 * math.pi
@@ -52,7 +54,9 @@ class SerialArm:
 def serial_arm(text: str, file: str | Path | None = None, tool: str | None = None) -> SerialArm:
     """The chain of joints from base to tool; every other joint is held, at zero or at its nearest limit.
 
-    Raises InputError for no URDF.
+    A joint of the chain that follows another one of it goes on doing so (``ideal_robot.robots.joints``).
+
+    Raises InputError for no URDF, and for joints that follow none, or each other in a circle.
 
     Args:
         text, file: of the URDF, and where it comes from, for messages.
@@ -60,24 +64,29 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
             the first of several that are as long.
     """
     check_text(text, file)
+    with found_in(file):
+        return _chain_in(text, tool)
+
+
+def _chain_in(text: str, tool: str | None) -> SerialArm:
     root = ET.fromstring(text)
     joints = {str(child.get("link")): joint for joint in root.findall("joint")
               if (child := joint.find("child")) is not None}
     tree = _Tree(joints)
     if not tree.sound:
         return SerialArm(text, None, ())
+    before = ET.tostring(root)
     end, chosen = (tool, []) if tool in joints else tree.end()
     chain = tree.path(end)
-    # A last joint that another one beside it follows closes a gripper, whatever it is called.
-    followed = {mimic.get("joint") for joint in joints.values() if (mimic := joint.find("mimic")) is not None}
-    while chain and tool not in joints and (not drives(chain[-1]) or (
-            chain[-1].get("name") in followed and any(map(drives, chain[:-1])))):
+    while chain and tool not in joints and (not tree.moves(chain[-1]) or _closes_a_gripper(tree, chain)):
         chain.pop()
     link = _tool_link(tree, [_link(joint, "child") for joint in chain]) if tool not in joints else tool
-    changed = chosen + _held(joints, {id(joint) for joint in chain}) + _limited(chain)
+    changed = chosen + _following(tree, chain)
+    changed += _held(joints, {id(joint) for joint in chain}) + _limited(chain)
     if tool not in joints:
         link = _facing_away(root, tree, chain, link, changed)
-    return SerialArm(ET.tostring(root, encoding="unicode") if changed else text, link, tuple(changed))
+    same = ET.tostring(root) == before
+    return SerialArm(text if same else ET.tostring(root, encoding="unicode"), link, tuple(changed))
 
 
 class _Tree:
@@ -85,6 +94,7 @@ class _Tree:
 
     def __init__(self, joints: dict[str, ET.Element]) -> None:
         self.joints = joints
+        self.named = {str(joint.get("name")): joint for joint in joints.values()}
         self.children: dict[str, list[str]] = {}
         for link, joint in joints.items():
             self.children.setdefault(_link(joint, "parent"), []).append(link)
@@ -108,6 +118,27 @@ class _Tree:
     def _own(self, link: str) -> int:
         return int(drives(self.joints[link]))
 
+    def moves(self, joint: ET.Element) -> bool:
+        """Whether a joint is one of the arm's: it drives, or follows one that does, and is no gripper's."""
+        followed = self.followed(joint)
+        return joint.get("type") != "fixed" and not _of_gripper(joint) and followed is not None and drives(
+            followed.joint)
+
+    def followed(self, joint: ET.Element) -> _Followed | None:
+        """What a joint follows in the end: its angle is ratio times that joint's plus offset; itself where nothing.
+
+        None where it follows no joint of the URDF, or joints follow each other in a circle.
+        """
+        found, seen = _Followed(joint, 1.0, 0.0), {id(joint)}
+        while (mimic := found.joint.find("mimic")) is not None and found.joint.get("type") != "fixed":
+            other = self.named.get(str(mimic.get("joint")))
+            if other is None or id(other) in seen:
+                return None
+            seen.add(id(other))
+            ratio, offset = (float(mimic.get(key, usual)) for key, usual in (("multiplier", 1.0), ("offset", 0.0)))
+            found = _Followed(other, found.ratio * ratio, found.ratio * offset + found.offset)
+        return found
+
     def end(self) -> tuple[str, list[str]]:
         """The link at which the longest moving chain ends, before the fingers of a gripper; what was chosen."""
         link, chosen = self.root, list[str]()
@@ -115,13 +146,35 @@ class _Tree:
             ways = sorted(((self._own(child) + self._depth[child], child) for child in self.children.get(link, ())),
                           key=lambda way: -way[0])
             moving = [way for way in ways if way[0] > 0]
-            if not moving or (len(moving) > 1 and moving[0][0] < _SLENDER):
+            if not moving:
+                return self._end_of_followers(link), chosen
+            if len(moving) > 1 and moving[0][0] < _SLENDER:
                 return link, chosen
             if alike := [child for length, child in moving[1:] if length == moving[0][0]]:
                 chosen.append(f"of the arms that begin at {link} that of {moving[0][1]} is used, with as many joints "
                               f"as that of {', '.join(alike)[:80]}: name the link at the end of another as "
                               "tool_frame in the robot's TOML to use it")
             link = moving[0][1]
+
+    def _end_of_followers(self, link: str) -> str:
+        """The last of the links that only followers move on from a link: a wrist that rods keep level, not the rods."""
+        best, most = link, (False, 0)
+        for end in self._behind(link):
+            path = self.path(end)[len(self.path(link)):]
+            moved = sum(map(self.moves, path))
+            # Where several branches follow, a tool is put on one of them.
+            rank = (any(_named_for_tools(one) for one in self.fixed_beyond(end)), moved)
+            if moved and self.moves(path[-1]) and rank > most:
+                best, most = end, rank
+        return best
+
+    def _behind(self, link: str) -> list[str]:
+        """A link and all those that it carries."""
+        links, index = [link], 0
+        while index < len(links):
+            links.extend(self.children.get(links[index], ()))
+            index += 1
+        return links
 
     def path(self, link: str) -> list[ET.Element]:
         """Joints from the root to a link, in order."""
@@ -141,6 +194,69 @@ class _Tree:
         return links
 
 
+class _Followed(NamedTuple):
+    """A joint that another one follows: that one's angle is ratio times this one's plus offset."""
+
+    joint: ET.Element
+    ratio: float
+    offset: float
+
+
+def _closes_a_gripper(tree: _Tree, chain: list[ET.Element]) -> bool:
+    """Whether the last joint of a chain closes a gripper, whatever it is called: another one beside it follows it.
+
+    One behind it, too, where there is an arm before them: a finger's second link. What slides behind what slides is a
+    telescope.
+    """
+    last = chain[-1]
+    if not drives(last):
+        followed = tree.followed(last)
+        root = last if followed is None else followed.joint
+        before = [joint for joint in chain if drives(joint)]
+        return (before[-1:] == [root] and len(before) > _SLENDER
+                and not (root.get("type") == last.get("type") == "prismatic"))
+    inside = {id(joint) for joint in chain}
+    follows = any(id(joint) not in inside and joint.find("mimic") is not None and joint.get("type") != "fixed"
+                  and (followed := tree.followed(joint)) is not None and followed.joint is last
+                  for joint in tree.joints.values())
+    return follows and any(map(drives, chain[:-1]))
+
+
+def _following(tree: _Tree, chain: list[ET.Element]) -> list[str]:
+    """Makes the joints of the chain that move together follow the first of them, with ratio and offset; in words.
+
+    What all of them follow in the URDF may stand beside the chain, or behind them in it.
+    """
+    changed = list[str]()
+    leaders: dict[int, _Followed] = {}
+    for joint in chain:
+        mimic, name = joint.find("mimic"), str(joint.get("name"))
+        if joint.get("type") == "fixed":
+            continue
+        if (followed := tree.followed(joint)) is None:
+            raise InputError("follows no joint of the URDF, or itself", field=f"{name}.mimic.joint",
+                             value=None if mimic is None else str(mimic.get("joint"))[:40])
+        root, ratio, offset = followed
+        if mimic is not None and (ratio == 0.0 or _of_gripper(root)):
+            changed.append(f"joint {name} is held: it follows {root.get('name')}, which does not move it")
+            _hold(joint, offset)
+            continue
+        if id(root) not in leaders:
+            # q' = ratio q + offset, so that what it follows is at (q' - offset) / ratio.
+            leaders[id(root)] = _Followed(joint, 1.0 / ratio, -offset / ratio)
+            if mimic is not None:
+                joint.remove(mimic)
+                changed.append(f"joint {name} moves on its own: what it follows in the URDF, {root.get('name')}, is "
+                               "not before it in the chain")
+            continue
+        leader, of_root, at_zero = leaders[id(root)]
+        if mimic is None:
+            mimic = ET.SubElement(joint, "mimic")
+        mimic.attrib.update(joint=str(leader.get("name")), multiplier=f"{ratio * of_root:.12g}",
+                            offset=f"{ratio * at_zero + offset:.12g}")
+    return changed
+
+
 def in_order(root: ET.Element) -> list[ET.Element]:
     """The moving joints of a URDF's longest chain from its root on; none of a URDF without one root."""
     tree = _Tree({str(child.get("link")): joint for joint in root.findall("joint")
@@ -153,9 +269,12 @@ def in_order(root: ET.Element) -> list[ET.Element]:
 
 def drives(joint: ET.Element) -> bool:
     """Whether a joint of a URDF moves on its own and is no gripper's."""
-    if joint.get("type") == "fixed" or joint.find("mimic") is not None:
-        return False
-    return not (_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(_link(joint, "child")))
+    return joint.get("type") != "fixed" and joint.find("mimic") is None and not _of_gripper(joint)
+
+
+def _of_gripper(joint: ET.Element) -> bool:
+    """Whether a joint of a URDF is a gripper's by what it, or what it carries, is called."""
+    return bool(_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(_link(joint, "child")))
 
 
 def _link(joint: ET.Element, end: str) -> str:
@@ -166,7 +285,7 @@ def _link(joint: ET.Element, end: str) -> str:
 
 def _tool_link(tree: _Tree, chain: list[str]) -> str | None:
     """A frame for tools at the end of a chain of links; None where none is called so."""
-    moved = [link for link in chain if drives(tree.joints[link])]
+    moved = [link for link in chain if tree.moves(tree.joints[link])]
     if not moved:
         return None
     near = tree.fixed_beyond(moved[-1])
@@ -186,10 +305,10 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
     of before the frame ``tool0`` have x along it. Where no joint can tilt the tool, as of a SCARA, it points down. A
     frame is added to ``root``, and told in ``changed``.
     """
-    moving = [joint for joint in chain if drives(joint)]
+    moving = [joint for joint in chain if tree.moves(joint)]
     if link is None or len(moving) < 2:
         return link
-    if not _tilts(tree.path(link), moving):
+    if not _tilts(tree, tree.path(link), moving):
         place = _placed(tree.path(link))
         down = place.rotation.T @ np.array([0.0, 0.0, -1.0])
         if down[2] > _ASIDE:
@@ -223,12 +342,24 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
     return _turned(root, link, way)
 
 
-def _tilts(path: list[ET.Element], moving: list[ET.Element]) -> bool:
-    """Whether a joint turns the tool about another axis than the vertical, in the posture of all joints at zero."""
-    upright = math.cos(math.radians(1.0))
-    return any(joint.get("type") != "prismatic"
-               and abs(float((_placed(path[: path.index(joint) + 1]).rotation @ _axis(joint))[2])) < upright
-               for joint in moving)
+def _tilts(tree: _Tree, path: list[ET.Element], moving: list[ET.Element]) -> bool:
+    """Whether a joint turns the tool about another axis than the vertical, in the posture of all joints at zero.
+
+    With all that follows it: rods keep a palletizer's wrist level.
+    """
+    turned: dict[str, Array] = {}
+    for joint in moving:
+        if joint.get("type") != "prismatic":
+            root, ratio, _ = tree.followed(joint) or _Followed(joint, 1.0, 0.0)
+            name = str(root.get("name"))
+            about = ratio * _placed(path[: path.index(joint) + 1]).rotation @ _axis(joint)
+            turned[name] = turned.get(name, np.zeros(3)) + about
+    return any(float(np.linalg.norm(about[:2])) > math.sin(math.radians(1.0)) for about in turned.values())
+
+
+def _named_for_tools(link: str) -> bool:
+    """Whether a link is called like one that a tool is put on."""
+    return not _FINGER.search(link) and (any(wanted in link.lower() for wanted in _FLANGE) or bool(_END.search(link)))
 
 
 def _carried(root: ET.Element, tree: _Tree, link: str) -> Array:
@@ -279,19 +410,17 @@ def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:
     """Makes every moving joint beside the chain a fixed one, where it stands at rest."""
     changed = []
     for joint in joints.values():
-        # What follows another joint in the middle of the arm cannot be held: ``check_joints`` refuses it.
         if joint.get("type") in ("revolute", "continuous", "prismatic") and id(joint) not in chain:
             changed.append(f"joint {joint.get('name')} is held: it is not one of the arm's")
             _hold(joint)
     return changed
 
 
-def _hold(joint: ET.Element) -> None:
-    """Fixes a joint at zero, or at the limit next to it."""
+def _hold(joint: ET.Element, position: float = 0.0) -> None:
+    """Fixes a joint at a position, or at the limit next to it."""
     limit, origin = joint.find("limit"), joint.find("origin")
-    position = 0.0
     if limit is not None and joint.get("type") != "continuous":
-        position = min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
+        position = min(max(position, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
     if position != 0.0:
         direction = _axis(joint)
         if origin is None:

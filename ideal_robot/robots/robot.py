@@ -23,6 +23,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, listed, plain
 from ideal_robot.robots import urdf_of
 from ideal_robot.robots.chain import serial_arm
+from ideal_robot.robots.joints import joint_motions, own_joints
 from ideal_robot.robots.units import in_si
 from ideal_robot.robots.urdf import model_of, read_drive_data
 
@@ -30,7 +31,7 @@ from ideal_robot.robots.urdf import model_of, read_drive_data
 
 def prismatic_joints(model: pin.Model) -> NDArray[np.bool_]:
     """Which joints slide along their axis instead of turning about it ``(n,)``; one degree of freedom each."""
-    return np.array([joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]], dtype=bool)
+    return np.array([model.joints[j].shortname().startswith("JointModelP") for j in own_joints(model)], dtype=bool)
 
 
 def joint_units(unit: str, model: pin.Model) -> tuple[str, ...]:
@@ -122,6 +123,19 @@ class Robot(Summarised):
     def prismatic(self) -> NDArray[np.bool_]:
         """Which joints slide along their axis instead of turning about it ``(n,)``."""
         return prismatic_joints(self.pinocchio)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """What the URDF calls the joints that move on their own ``(n,)``."""
+        return tuple(self.pinocchio.names[j] for j in own_joints(self.pinocchio))
+
+    @property
+    def following(self) -> tuple[str, ...]:
+        """Which joints follow others, and how, in words."""
+        model, motions = self.pinocchio, joint_motions(self.pinocchio)
+        return tuple(f"{model.names[i + 1]} = {motions.ratio[i]:.6g} {self.joint_names[motions.coordinate[i]]}"
+                     + (f" {motions.offset[i]:+.6g}" if motions.offset[i] else "")
+                     for i in np.flatnonzero(~motions.own).tolist())
 
     def units(self, unit: str) -> tuple[str, ...]:
         """A unit of each joint, e.g. "mrad": as it is where it turns, "mm" where it slides ``(n,)``."""
@@ -223,6 +237,7 @@ class Robot(Summarised):
         """What it is, how far and how fast."""
         cycle = f"cycle {1e3 * self.t_ipo:g} ms"
         return [("robot", f"{self.name!r}: {self.n} joints, tool frame {self.tool_frame}, {cycle}"),
+                *(("followers", "; ".join(self.following)) for _ in self.following[:1]),
                 ("from", listed(self.q_min)), ("to", listed(self.q_max, "rad or m")),
                 ("speed", listed(self.v_max, "rad/s or m/s"))]
 
@@ -230,7 +245,7 @@ class Robot(Summarised):
         """Its data as plain values; unknown limits, which are infinite, as None."""
         return plain({
             "name": self.name, "urdf": self.urdf, "urdf_hash": self.urdf_hash, "joints": self.n,
-            "assumed": list(self.assumed),
+            "assumed": list(self.assumed), "following": list(self.following),
             "tool_frame": self.tool_frame, "prismatic": self.prismatic, "q_min": self.q_min, "q_max": self.q_max,
             "v_max": self.v_max, "a_max": self.a_max, "tau_max": self.tau_max, "gear_ratio": self.gear_ratio,
             "rotor_inertia": self.rotor_inertia, "drive_gain": self.drive_gain, "home": self.home,
@@ -318,15 +333,12 @@ def common_normals(robot: Robot) -> Array:
 
     For parallel axes it points from one to the other; for the last joint towards the TCP.
     """
-    n = robot.n
-    model, q, prismatic = robot.pinocchio, pin.neutral(robot.pinocchio), robot.prismatic
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    full = pin.computeFrameJacobian(model, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-    # Pinocchio's has one dimension where there is one joint.
-    full = np.asarray(full).reshape(6, n)
-    axes = [full[:3, j] if prismatic[j] else full[3:, j] for j in range(n)]
-    places = [*[data.oMi[j + 1].translation for j in range(n)], data.oMf[robot.tool_id].translation]
+    n, model = robot.n, robot.pinocchio
+    data, motions = model.createData(), joint_motions(model)
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    frames = [data.oMi[j] for j in own_joints(model)]
+    axes = [frame.rotation @ axis for frame, axis in zip(frames, motions.axis[motions.own], strict=True)]
+    places = [*(frame.translation for frame in frames), data.oMf[robot.tool_id].translation]
     result = np.empty((n, 3))
     for j in range(n):
         z = axes[j] / np.linalg.norm(axes[j])
@@ -335,7 +347,7 @@ def common_normals(robot: Robot) -> Array:
             flat = candidate - (candidate @ z) * z
             if np.linalg.norm(flat) > 1e-3:
                 break
-        result[j] = data.oMi[j + 1].rotation.T @ (flat / np.linalg.norm(flat))
+        result[j] = frames[j].rotation.T @ (flat / np.linalg.norm(flat))
     return result
 
 

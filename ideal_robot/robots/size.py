@@ -17,6 +17,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.results import listed
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.arm_class import BASE_SPEED, MASS, REACH, SLIDING_SPEED, WRIST_SPEED, class_of
+from ideal_robot.robots.joints import mass_matrix, own_joints
 from ideal_robot.robots.robot import Robot, _frozen, spread_postures
 from ideal_robot.robots.urdf import FEWEST, model_of
 
@@ -59,7 +60,7 @@ def of_its_size(robot: Robot) -> Robot:
 
 def reach(robot: Robot) -> float:
     """Largest distance of the tool from the second joint, or from the only one, over the arm's range [m]."""
-    model, data, pivot = robot.pinocchio, robot.pinocchio.createData(), min(2, robot.n)
+    model, data, pivot = robot.pinocchio, robot.pinocchio.createData(), own_joints(robot.pinocchio)[:2][-1]
     largest = REACH[0]
     for q in spread_postures(robot.q_min, robot.q_max):
         pin.framesForwardKinematics(model, data, q)
@@ -74,9 +75,11 @@ def reach_at_home(robot: Robot) -> float:
 
 
 def _ways(robot: Robot) -> Array:
-    """Vector from each joint to the next one, from the last one to the tool, in the joint's frame ``(n, 3)`` [m]."""
-    model = robot.pinocchio
-    return np.array([*(model.jointPlacements[j + 1].translation for j in range(1, robot.n)), robot.tool_place])
+    """Vector from each joint to the next one, from the last one to the tool, in the joint's frame ``(b, 3)`` [m].
+
+    Of all ``b`` joints, those that follow others, too.
+    """
+    return np.array([*(place.translation for place in list(robot.pinocchio.jointPlacements)[2:]), robot.tool_place])
 
 
 # Masses
@@ -97,7 +100,7 @@ def _with_masses(robot: Robot, notes: list[str]) -> Robot:
                      f"{size:.2g} m are taken")
     if not faulty.any():
         return robot
-    weights = (np.linalg.norm(_ways(robot), axis=1) + 0.15 * size) * TAPER ** np.arange(robot.n)
+    weights = (np.linalg.norm(_ways(robot), axis=1) + 0.15 * size) * TAPER ** np.arange(len(bodies))
     text = _rewritten(robot, faulty, usual * weights / weights.sum(), RADIUS * size)
     model = model_of(text, robot.urdf)
     return replace(robot, pinocchio=model, description=text)
@@ -179,7 +182,7 @@ def loads(robot: Robot) -> tuple[Array, Array]:
     model, data = robot.pinocchio, robot.pinocchio.createData()
     postures = spread_postures(robot.q_min, robot.q_max)
     gravity = np.max([np.abs(pin.computeGeneralizedGravity(model, data, q)) for q in postures], axis=0)
-    inertia = np.max([pin.crba(model, data, q).diagonal() for q in postures], axis=0)
+    inertia = np.max([mass_matrix(model, data, q).diagonal() for q in postures], axis=0)
     return gravity, inertia
 
 
@@ -192,7 +195,7 @@ def shoulder_height(robot: Robot) -> float:
     """Height of the second joint above the base plane z = 0 [m]; below it where an arm hangs."""
     data = robot.pinocchio.createData()
     pin.forwardKinematics(robot.pinocchio, data, robot.home)
-    return float(data.oMi[min(2, robot.n)].translation[2])
+    return float(data.oMi[own_joints(robot.pinocchio)[:2][-1]].translation[2])
 
 
 def mean_height(robot: Robot) -> float:

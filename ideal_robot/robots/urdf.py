@@ -15,12 +15,14 @@ import pydantic
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import URDF_BYTES, URDF_DEPTH, URDF_ELEMENTS, URDF_JOINTS, kept_words, read_toml
 from ideal_robot.errors import InputError
+from ideal_robot.robots.joints import joint_motions, own_joints
 
 FEWEST = 4
 """Joints of an arm."""
 SLOWEST = 1e-4
 """Least speed limit of a joint [rad/s or m/s]."""
-_NUMBERS = ("xyz", "rpy", "mass", "lower", "upper", "effort", "velocity", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_NUMBERS = ("xyz", "rpy", "mass", "multiplier", "offset", "lower", "upper", "effort", "velocity", "ixx", "ixy",
+            "ixz", "iyy", "iyz", "izz")
 _LARGEST = 1e9
 """Largest magnitude of a number, except of limits, which may be infinite."""
 
@@ -37,8 +39,7 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
 
     Raises:
         InputError: broken XML, entities, numbers that are none, loops, no or too many moving joints, joints of other
-            kinds than revolute with limits and prismatic, joints that follow others, xacro commands, bodies and speed
-            limits that no arm has.
+            kinds than revolute with limits and prismatic, xacro commands, bodies and speed limits that no arm has.
     """
     check_text(text, file)
     check_joints(ET.fromstring(text), file)
@@ -48,8 +49,9 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
     URDF_JOINTS.check(model.nv, file)
     if model.nq != model.nv:
         raise InputError("only revolute (with limits) and prismatic joints are supported", file=file)
+    _keep_followers_limits(model, ET.fromstring(text))
     for j in range(1, model.njoints):
-        if model.joints[j].nv != 1:
+        if model.joints[j].nv > 1:
             raise InputError("only joints of one degree of freedom are supported", file=file, field=model.names[j])
         inertia = model.inertias[j]
         numbers = np.concatenate([model.jointPlacements[j].homogeneous.ravel(), inertia.inertia.ravel(),
@@ -60,12 +62,31 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
         if model.nv < FEWEST and (inertia.mass < 0.0 or (np.diag(inertia.inertia) < -1e-12).any()):
             raise InputError("a body of negative mass or moment of inertia", file=file, field=model.names[j],
                              value=[inertia.mass, *np.diag(inertia.inertia).tolist()])
-        if not (model.velocityLimit[j - 1] <= 0.0 or model.velocityLimit[j - 1] >= SLOWEST):
+    for k, j in enumerate(own_joints(model)):
+        if not (model.velocityLimit[k] <= 0.0 or model.velocityLimit[k] >= SLOWEST):
             raise InputError(f"a speed limit below {SLOWEST:g} rad/s or m/s; 0 stands for none", file=file,
-                             field=model.names[j], value=float(model.velocityLimit[j - 1]))
-        if not model.lowerPositionLimit[j - 1] <= model.upperPositionLimit[j - 1]:
-            raise InputError("the lower limit lies above the upper one", file=file, field=model.names[j])
+                             field=model.names[j], value=float(model.velocityLimit[k]))
+        if not model.lowerPositionLimit[k] <= model.upperPositionLimit[k]:
+            raise InputError("the lower limit lies above the upper one, with those of the joints that follow it",
+                             file=file, field=model.names[j])
     return model
+
+
+def _keep_followers_limits(model: pin.Model, root: ET.Element) -> None:
+    """Narrows the limits of position and speed to what the joints that follow allow, where these have any."""
+    motions, limits = joint_motions(model), {joint.get("name"): joint.find("limit") for joint in root.findall("joint")}
+    low, high, speed = (np.array(values) for values in (model.lowerPositionLimit, model.upperPositionLimit,
+                                                        model.velocityLimit))
+    for i in np.flatnonzero(~motions.own).tolist():
+        limit, k, ratio = limits[model.names[i + 1]], motions.coordinate[i], motions.ratio[i]
+        if limit is None:
+            continue
+        ends = sorted((float(limit.get(key, 0.0)) - motions.offset[i]) / ratio for key in ("lower", "upper"))
+        if ends[0] < ends[1]:
+            low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
+        if (fastest := float(limit.get("velocity", 0.0)) / abs(ratio)) > 0.0:
+            speed[k] = fastest if speed[k] <= 0.0 else min(speed[k], fastest)
+    model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit = low, high, speed
 
 
 def without_meshes(text: str) -> str:
@@ -125,15 +146,11 @@ def _check_element(element: ET.Element, file: str | Path | None) -> None:
 
 
 def check_joints(root: ET.Element, file: str | Path | None) -> None:
-    """Raises InputError for joints of the arm that follow others, and axes without a direction of joints that move."""
+    """Raises InputError for axes without a direction of joints that move."""
     for joint in root.findall("joint"):
         name, axis = str(joint.get("name"))[:40], joint.find("axis")
-        # A joint that was fixed by hand follows no other one, though it may still say so.
         if joint.get("type") == "fixed":
             continue
-        if joint.find("mimic") is not None:
-            raise InputError("a joint of the arm that follows another one (mimic) is not supported; leave mimic away "
-                             "where it is driven on its own", file=file, field=name)
         # What reads the file takes x where there is no axis, and none where it has no direction.
         written = "1 0 0" if axis is None else axis.get("xyz", "")
         if not 1e-3 <= math.hypot(*map(float, written.split())) <= 1e3:
@@ -168,7 +185,7 @@ def _built(text: str, file: str | Path | None) -> pin.Model:
     text = _BELOW_ZERO.sub(r'\g<1>"0"', text)
     with kept_words() as stream:
         try:
-            return pin.buildModelFromXML(text)
+            return pin.buildModelFromXML(text, mimic=True)
         except Exception as error:  # the binding raises whatever the library leads to
             stream.seek(0)
             reason = re.search(r"Error:\s*([^\n]*)", stream.read().decode(errors="replace"))

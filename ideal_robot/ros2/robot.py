@@ -56,7 +56,7 @@ class Ros2Robot(LinkedRobot):
     def __init__(self, robot: Robot, states: str, commands: str, *, trajectory: bool = False,
                  joints: tuple[str, ...] = (), sim_time: bool = False, subnet: bool = False, timeout: float = 1.0,
                  bridge: float = 0.1, answers_within: float = 0.5) -> None:
-        names = tuple(robot.pinocchio.names)[1:]
+        names = robot.joint_names
         if joints and sorted(joints) != sorted(names):
             raise InputError(f"expected the joints of {robot.name} in some order: {', '.join(names)}", field="joints",
                              value=", ".join(joints)[:80])

@@ -42,7 +42,7 @@ class JointStates:
     def __init__(self, node: Node, topic: str, robot: Robot, counts: LinkCounts, *, every: bool = False) -> None:
         from sensor_msgs.msg import JointState
 
-        self.names = tuple(robot.pinocchio.names)[1:]
+        self.names = robot.joint_names
         self._node, self._topic, self._robot, self._counts, self._every = node, topic, robot, counts, every
         self._taken: deque[tuple[Any, float]] = deque(maxlen=_WAITING)
         self._newest = -np.inf

@@ -39,7 +39,7 @@ class RtdeReader(StateReader):
             self._recipe = self._connection.outputs(_FIELDS, 1.0 / robot.t_ipo)
             self._connection.start()
             first = self._read(Deadline.within(patience))[0]
-            if (why := no_radians(robot, tuple(robot.pinocchio.names)[1:], first.q, "actual_q")) is not None:
+            if (why := no_radians(robot, robot.joint_names, first.q, "actual_q")) is not None:
                 raise RtdeError(why)
         except RtdeError:
             self.close()

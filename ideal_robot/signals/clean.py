@@ -159,7 +159,7 @@ def _in_robot_order(recording: Recording, robot: Robot) -> tuple[Recording, list
 
     Joints of a gripper or of wheels in the same messages are left out, and named.
     """
-    recorded, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
+    recorded, wanted = recording.meta.get("joints"), list(robot.joint_names)
     if not isinstance(recorded, list) or recorded == wanted:
         return recording, []
     names = [str(name) for name in recorded]

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import own_joints
 from ideal_robot.robots.robot import Robot
 from planning.path.joint_path import JointPath
 
@@ -62,5 +63,5 @@ class JointsBeside:
         """Twists of the base frame by the joints' places and turns on the links before them ``(6, 6 n)``."""
         model, data = self._robot.pinocchio, self._data
         pin.forwardKinematics(model, data, q)
-        return np.hstack([(data.oMi[parent] * place).toActionMatrix() for parent, place in
-                          zip(list(model.parents)[1:], list(model.jointPlacements)[1:], strict=True)])
+        return np.hstack([(data.oMi[model.parents[j]] * model.jointPlacements[j]).toActionMatrix()
+                          for j in own_joints(model)])

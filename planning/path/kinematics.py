@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.inverse_kinematics import Tool, newton_step, refined
+from ideal_robot.robots.joints import own_joints
 from ideal_robot.robots.robot import Robot
 from ideal_robot.tolerances import DAMPING, NEWTON_STEPS, ROUNDING, SETTLED, SLIGHT
 from planning import OutOfReachError
@@ -40,7 +41,8 @@ class InverseKinematics:
     def elbow(self, q: Array) -> float:
         """How high the joint in the middle of the arm is above the base at ``q (n,)`` [m]."""
         pin.forwardKinematics(self._model, self._data, q)
-        return float(self._data.oMi[self.robot.n // 2 + self.robot.n % 2].translation[2])
+        middle = own_joints(self._model)[(self.robot.n - 1) // 2]
+        return float(self._data.oMi[middle].translation[2])
 
     def step(self, target: pin.SE3, q: Array, wanted: Array | None = None) -> tuple[Array, Array]:
         """One Newton step: the next joint angles ``(n,)`` and the pose error ``(6,)`` before it [m, rad].

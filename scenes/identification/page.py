@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ideal_robot.dynamics.base_parameters import link_labels
 from ideal_robot.identification.angles_alone import CommandIdentification
 from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.linear_loop_fit import LinearLoopFit
@@ -238,8 +239,10 @@ def _consistency(page: Report, analysis: IdentificationResult) -> None:
               + f" It lies {np.max(np.abs(consistency.deviation)):.2g} standard deviations away at most.")
     names = ["m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
     full = consistency.full
-    rows = [[i + 1, *full[10 * i: 10 * i + 10], full[10 * model.n + i], *consistency.smallest_eigenvalue[i]]
-            for i in range(model.n)]
+    layout = model.base.layout
+    rotors = dict(zip(layout.own, full[layout.rotors], strict=True))
+    rows = [[label, *full[layout.link(i)], rotors.get(i, "-"), *consistency.smallest_eigenvalue[i]]
+            for i, label in enumerate(link_labels(model.kinematics))]
     page.table(["link", *names, "Ia", "λ_min before", "λ_min after"], rows,
                "Full parameters, about the joint frames; smallest eigenvalue of each pseudo-inertia matrix.")
 

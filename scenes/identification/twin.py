@@ -27,6 +27,7 @@ from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.model.cascade import SPREAD, Cascade
 from ideal_robot.model.model import Model
 from ideal_robot.results import listed, one_unit
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
@@ -79,7 +80,7 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     seen = ["friction: the identified law, as presliding and viscous friction"]
     assumed: list[str] = []
     body = _body(model, robot)
-    links, rotor = _link_moments(robot, body), body[10 * robot.n : 11 * robot.n]
+    links, rotor = _link_moments(robot, body), body[model.base.layout.rotors]
     hidden = _hidden_rotors(robot, rotor, links.min(axis=0))
     rotor = rotor + hidden
     seen.insert(0, "masses and offsets: identified" if np.any(hidden) else "masses, rotors and offsets: identified")
@@ -152,14 +153,14 @@ def _plain(value: Any) -> Any:
 
 
 def _body(model: Model, robot: Robot) -> Array:
-    """Possible bodies ``(12 n,)`` with the identified base parameters, near those of the data sheet or of the class."""
+    """Possible bodies ``(p,)`` with the identified base parameters, near those of the data sheet or of the class."""
     near = np.concatenate([link_parameters(robot.pinocchio), _usual_rotors(robot), np.zeros(robot.n)])
     b = model.base.count
     try:
         full = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], near).full
     except IdealRobotError:
         full = model.consistent
-    return np.asarray(np.concatenate([full[: 11 * robot.n], model.offset]))
+    return np.asarray(np.concatenate([full[: model.base.layout.offsets.start], model.offset]))
 
 
 def _hidden_rotors(robot: Robot, rotor: Array, least: Array) -> Array:
@@ -325,14 +326,14 @@ def _link_moments(robot: Robot, body: Array) -> Array:
     """What the links hold against each joint in postures spread over the range ``(m, n)`` [kg m²]."""
     model = _with_body(robot, body)
     data = model.createData()
-    return np.array([pin.crba(model, data, q).diagonal() for q in spread_postures(robot.q_min, robot.q_max)])
+    return np.array([mass_matrix(model, data, q).diagonal() for q in spread_postures(robot.q_min, robot.q_max)])
 
 
 def _with_body(robot: Robot, body: Array) -> pin.Model:
     """Pinocchio model with these links."""
     model = robot.pinocchio.copy()
-    for j in range(robot.n):
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body[10 * j : 10 * j + 10])
+    for j in range(1, model.njoints):
+        model.inertias[j] = pin.Inertia.FromDynamicParameters(body[10 * j - 10 : 10 * j])
     return model
 
 

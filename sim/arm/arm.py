@@ -12,12 +12,13 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState, checked_command
+from ideal_robot.robots.joints import joint_motions, mass_matrix, own_joints
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import let_go, new_array
 from ideal_robot.signals.recording import Recording
 from sim import SimError
 from sim.arm import kernel
-from sim.arm.body import RigidRotors, load_links, start_physics
+from sim.arm.body import JointTorques, load_links, start_physics
 from sim.arm.controllers import CommandPath, TorqueController
 from sim.arm.drive import beside_gears, drive_parameters, drive_start, hysteresis_stiffness, output_of
 from sim.arm.history import History, recording_of
@@ -53,8 +54,7 @@ def _require_integrable(model: pin.Model, q: Array, p: Array) -> None:
     elastic = p[P_ELASTIC] > 0.0
     if not elastic.any():
         return
-    mass = pin.crba(model, model.createData(), q)
-    mass = np.triu(mass) + np.triu(mass, 1).T
+    mass = mass_matrix(model, model.createData(), q)
     if np.linalg.matrix_rank(mass, hermitian=True) < len(mass):
         raise InputError("a joint turns nothing that has inertia; give the links moments of inertia, or use inf for "
                          "rigid gears", field="inertial")
@@ -83,7 +83,7 @@ class SimulatedArm:
     """A ``RobotInterface`` to an arm in a ``World``.
 
     With elastic gears PyBullet's links are driven by the gear torques, with rigid gears by what the motors leave them
-    after accelerating their rotors (``RigidRotors``).
+    after accelerating their rotors (``JointTorques``).
 
     Args:
         robot: the robot as its maker describes it.
@@ -111,7 +111,7 @@ class SimulatedArm:
         self.robot, self.world = robot, world
         self.t_ipo = world.t_ipo
         self._rng = rng
-        self._extra_torque = residual_torque(world, robot.n, rng)
+        self._extra_torque = residual_torque(world, robot.pinocchio, rng)
         self._specimen = draw_specimen(robot, world)
         self._model = self._specimen.model
         self._p, self._shared, self._counts = drive_parameters(world, robot, self._specimen)
@@ -119,7 +119,8 @@ class SimulatedArm:
         self._kinematics = self._model.createData()
         _require_integrable(self._model, robot.home, self._p)
         self._steps_per_cycle = round(world.t_ipo / STEP)
-        self._joints = list(range(robot.n))
+        self._joints = list(range(self._model.njoints - 1))
+        self._own = [joint - 1 for joint in own_joints(self._model)]
         frame = robot.pinocchio.frames[robot.tool_id]
         self.tool_link = int(frame.parentJoint) - 1
         self.tool_offset: pin.SE3 = frame.placement.copy()
@@ -155,15 +156,15 @@ class SimulatedArm:
         if self._structure is not None:
             self._structure.reset(q_a, temperature)
         rigid = np.where(self._elastic, 0.0, self._specimen.rotor_inertia)
-        self._rotors = RigidRotors(self._model, rigid) if rigid.any() else None
+        self._torques = JointTorques.of(self._model, rigid)
         self._tick = 0
         self._pending = q0.copy()
         self._links = np.zeros((4, n))
         self._links[kernel.L_ANGLE] = q_a
         self.q_a, self._qd_a = self._links[kernel.L_ANGLE], self._links[kernel.L_VELOCITY]
         self._history = History(n, int(self._counts[kernel.N_LOG]) * STEP)
-        for joint in self._joints:
-            pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
+        for joint, angle in enumerate(joint_motions(self._model).angles(q_a).tolist()):
+            pybullet.resetJointState(self.body, joint, angle, 0.0, physicsClientId=self.client)
 
     def cycle(self, q_c: Array) -> RobotState:
         """Executes one interpolation cycle with the commanded joint angles ``q_c (n,)`` [rad].
@@ -197,14 +198,14 @@ class SimulatedArm:
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
         q_a, qd_a, torque = self.q_a, self._qd_a, links[kernel.L_TORQUE]
         angles, speeds = memoryview(q_a), memoryview(qd_a)  # written number by number in a third of the time
-        every, rotors, history = int(counts[kernel.N_LOG]), self._rotors, self._history
+        every, torques, history = int(counts[kernel.N_LOG]), self._torques, self._history
         extra_torque, hook = self._extra_torque, self.step_hook
         touched = hook is not None or self._touchable
         structure, controller = self._structure, self._controller
         asked_every = int(counts[kernel.N_VELOCITY])
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
                                                pybullet.getJointStates, pybullet.TORQUE_CONTROL)
-        drive_step = kernel.drive_step
+        drive_step, own = kernel.drive_step, self._own
         for line in noise[:-1]:
             tick = self._tick
             if extra_torque is not None:
@@ -217,18 +218,25 @@ class SimulatedArm:
                 history.rows += 1
                 if structure is not None:
                     structure.update(q_a, qd_a, x[kernel.X_TEMPERATURE])
-            if rotors is not None:
-                rotors.share(q_a, qd_a, torque)
-            set_torques(body, joints, mode, forces=torque.tolist(), physicsClientId=client)
+            driving = torque if torques is None else torques.of_drives(q_a, qd_a, torque)
+            set_torques(body, joints, mode, forces=driving.tolist(), physicsClientId=client)
             if hook is not None:
                 hook(tick * STEP)
             step(client)
             states = get_states(body, joints, client)
-            if touched and rotors is not None:
-                rotors.feel(q_a, qd_a, np.array([state[1] for state in states]), torque)
-            for j, state in enumerate(states):
-                angles[j], speeds[j], _, _ = state
+            if touched and torques is not None:
+                torques.feel(q_a, qd_a, np.array([state[1] for state in states]), driving)
+            for j, joint in enumerate(own):
+                angles[j], speeds[j], _, _ = states[joint]
+            if torques is not None and torques.followers:
+                self._lead_followers(torques)
             self._tick = tick + 1
+
+    def _lead_followers(self, torques: JointTorques) -> None:
+        """Puts the joints that follow others where these lead them: what PyBullet's steps leave does not add up."""
+        places, rates = torques.angles(self.q_a), torques.rates(self._qd_a)
+        for joint in torques.followers:
+            pybullet.resetJointState(self.body, joint, places[joint], rates[joint], physicsClientId=self.client)
 
     def _state(self, noise: Array) -> RobotState:
         """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""

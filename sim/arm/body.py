@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array, G
 from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import THICK
+from ideal_robot.robots.joints import joint_motions, mass_matrix, without_followers
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import reach
 from ideal_robot.robots.urdf import without_meshes
@@ -34,8 +35,9 @@ def start_physics() -> int:
 def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> int:
     """Loads the links of a serial arm without whatever PyBullet adds of its own; PyBullet's id of the body.
 
-    Joints keep their order; link ``i`` of the body is the one that joint ``i`` (from 0) moves, in the joint's frame.
-    Joint limits are left to the controller: a limit constraint would be an effect of its own.
+    Joints keep their order, those that follow others move freely (``JointTorques`` leads them); link ``i`` of the body
+    is the one that joint ``i`` (from 0) moves, in the joint's frame. Joint limits are left to the controller: a limit
+    constraint would be an effect of its own.
 
     Args:
         model: Pinocchio model with the true inertias.
@@ -48,11 +50,12 @@ def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_
         path.write_text(_links_urdf(model, tool, tool_radius), encoding="utf-8")
         body = pybullet.loadURDF(str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                                  physicsClientId=client)
-    for link in range(-1, model.nv):
+    joints = list(range(model.njoints - 1))
+    for link in (-1, *joints):
         pybullet.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
                                 lateralFriction=0.0, maxJointVelocity=1.0e6, physicsClientId=client)
-    pybullet.setJointMotorControlArray(body, list(range(model.nv)), pybullet.VELOCITY_CONTROL,
-                                       forces=[0.0] * model.nv, physicsClientId=client)
+    pybullet.setJointMotorControlArray(body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints),
+                                       physicsClientId=client)
     return int(body)
 
 
@@ -61,14 +64,11 @@ def _links_urdf(model: pin.Model, tool: pin.SE3 | None = None, tool_radius: floa
 
     One link per joint, inertias about principal axes: PyBullet's own diagonalisation is less exact.
     """
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
+    motions = joint_motions(model)
     parts = ['<robot name="arm">', '<link name="link_0"><inertial><mass value="1"/>'
              '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>']
     for joint in range(1, model.njoints):
-        column = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL).reshape(6, -1)[:, joint - 1]
-        revolute = np.linalg.norm(column[3:]) > 0.5
-        axis = column[3:] if revolute else column[:3]
+        axis, revolute = motions.axis[joint - 1], not motions.prismatic[joint - 1]
         inertia, placement = model.inertias[joint], model.jointPlacements[joint]
         moments, directions = np.linalg.eigh(np.array(inertia.inertia))
         directions[:, 2] *= np.linalg.det(directions)
@@ -98,54 +98,86 @@ def _text(values: Array) -> str:
     return " ".join(f"{value:.17g}" for value in values)
 
 
-# Rotors that turn rigidly with their links, which PyBullet has no term for.
+# Rotors that turn rigidly with their links, and joints that follow others: PyBullet has no term for either.
 
-class RigidRotors:
-    """Splits the torque of drives with rigid gears between links and rotors.
+class JointTorques:
+    """The torques of PyBullet's joints that move links and rotors as drives with rigid gears and rods would.
 
     The reflected rotor inertia J belongs on the diagonal of the mass matrix and nowhere else: added to the inertia of
-    a link it would also load the joints before it. So the links get τ - J q̈, with
+    a link it would also load the joints before it. And what follows another joint is led by it, whatever it weighs. So
+    the links get what their motion asks for, with
 
-        (M + J) q̈ = τ + τ_touch - h(q, q̇)
+        (M + J) q̈ = τ + Gᵀ τ_touch - h(q, q̇)        τ' = rnea'(G q + b, G q̇, G q̈) - τ_touch
 
-    from Pinocchio's forward dynamics of the same links with rotors. What touches the arm is not known before the
-    step; τ_touch is what the step before had too much: M q̈ + h less the torque it was given. Free motion is exact,
-    contact is felt by the rotors half a millisecond late.
+    from Pinocchio's model of the same links; behind no follower (G = 1) that is τ - J q̈. What touches the arm is not
+    known before the step; τ_touch is what the step before had too much. Free motion is exact, contact is felt by the
+    rotors half a millisecond late.
 
     Args:
         links: the true links.
         inertia: rotor inertia of the joints with rigid gears, 0 elsewhere ``(n,)`` [kg m²].
+
+    Attributes:
+        followers: joints, from 0, that follow others.
     """
 
     def __init__(self, links: pin.Model, inertia: Array) -> None:
-        self._links, self._links_data = links, links.createData()
+        self._motions = joint_motions(links)
+        self.followers = np.flatnonzero(~self._motions.own).tolist()
+        self._free = without_followers(links) if self.followers else links
+        self._free_data = self._free.createData()
         self._with_rotors = links.copy()
         self._with_rotors.armature = inertia
         self._data = self._with_rotors.createData()
         self._inertia = inertia
-        self._touch = np.zeros(len(inertia))
+        self._touch = np.zeros(links.njoints - 1)
 
-    def share(self, q: Array, qd: Array, torque: Array) -> None:
-        """Takes from ``torque (n,)`` [N m], in place, what accelerates the rotors.
+    @staticmethod
+    def of(links: pin.Model, inertia: Array) -> JointTorques | None:
+        """Those of an arm; None where PyBullet's joints get the drives' torques as they are.
+
+        Args:
+            links, inertia: as of the class.
+        """
+        return JointTorques(links, inertia) if inertia.any() or links.nv < links.njoints - 1 else None
+
+    def angles(self, q: Array) -> Array:
+        """Angles of PyBullet's joints ``(b,)`` at the arm's ``(n,)`` [rad]."""
+        return self._motions.angles(q)
+
+    def rates(self, qd: Array) -> Array:
+        """Velocities of PyBullet's joints ``(b,)`` at the arm's ``(n,)`` [rad/s]."""
+        return self._motions.rates(qd)
+
+    def of_drives(self, q: Array, qd: Array, torque: Array) -> Array:
+        """Torques of PyBullet's joints ``(b,)`` [N m].
 
         Args:
             q: arm angles ``(n,)`` [rad].
             qd: arm velocities ``(n,)`` [rad/s].
-            torque: of the drives ``(n,)`` [N m]; changed.
+            torque: of the drives ``(n,)`` [N m].
         """
-        acceleration = pin.aba(self._with_rotors, self._data, q, qd, torque + self._touch)
-        torque -= self._inertia * acceleration
+        if not self.followers:
+            return np.asarray(torque - self._inertia * pin.aba(self._with_rotors, self._data, q, qd,
+                                                               torque + self._touch))
+        mass = mass_matrix(self._with_rotors, self._data, q)
+        asked = torque + self._motions.torques(self._touch) - pin.nonLinearEffects(self._with_rotors, self._data, q, qd)
+        return self._asked(q, self.rates(qd), self.rates(np.linalg.solve(mass, asked))) - self._touch
 
-    def feel(self, q: Array, qd: Array, qd_after: Array, torque: Array) -> None:
-        """Learns what touched the links in a step from ``q, qd`` to velocity ``qd_after`` under ``torque (n,)``.
+    def feel(self, q: Array, qd: Array, after: Array, torque: Array) -> None:
+        """Learns what touched the links in a step from ``q, qd`` to joint velocities ``after (b,)``.
 
         Args:
             q: arm angles before the step ``(n,)`` [rad].
             qd: arm velocities before it ``(n,)`` [rad/s].
-            qd_after: arm velocities after it ``(n,)`` [rad/s].
-            torque: on the links during it ``(n,)`` [N m].
+            after: velocities of PyBullet's joints after it ``(b,)`` [rad/s].
+            torque: on the links during it ``(b,)`` [N m].
         """
-        self._touch = pin.rnea(self._links, self._links_data, q, qd, (qd_after - qd) / STEP) - torque
+        rates = self.rates(qd)
+        self._touch = self._asked(q, rates, (after - rates) / STEP) - torque
+
+    def _asked(self, q: Array, rates: Array, accelerations: Array) -> Array:
+        return np.asarray(pin.rnea(self._free, self._free_data, self.angles(q), rates, accelerations))
 
 
 # Pictures of the arm in a posture, for reports.
@@ -192,7 +224,7 @@ class Stage:
         q = np.asarray(q, dtype=float)
         if q.shape != (robot.n,):
             raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
-        self._names = list(robot.pinocchio.names)[1:]
+        self._names, self._motions = list(robot.pinocchio.names)[1:], joint_motions(robot.pinocchio)
         client = self._client = pybullet.connect(pybullet.DIRECT)
         with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
             self._body = _load(robot, client)
@@ -230,7 +262,7 @@ class Stage:
         return _render(self._client, self._view, self._light)
 
     def _place(self, q: Array) -> None:
-        for name, angle in zip(self._names, q, strict=True):
+        for name, angle in zip(self._names, self._motions.angles(q), strict=True):
             pybullet.resetJointState(self._body, self._order[name], angle, physicsClientId=self._client)
 
 

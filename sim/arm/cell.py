@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import Robot
 from sim.arm.drive import top_of
 
@@ -101,7 +102,7 @@ def _balanced(robot: Robot) -> float:
 
 def _resonance(robot: Robot, stiffness: Array, rotor: Array, t_velocity: float) -> Array:
     """Frequency ``(n,)`` [Hz] of each rotor on its gear against its link at home; 0 where the loop cannot see it."""
-    link = pin.crba(robot.pinocchio, robot.pinocchio.createData(), np.array(robot.home, dtype=float)).diagonal()
+    link = mass_matrix(robot.pinocchio, robot.pinocchio.createData(), np.array(robot.home, dtype=float)).diagonal()
     with np.errstate(divide="ignore", invalid="ignore"):
         frequency = np.sqrt(stiffness * (1.0 / rotor + 1.0 / link)) / (2.0 * math.pi)
     seen = np.isfinite(frequency) & (frequency * t_velocity < 0.2)

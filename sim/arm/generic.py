@@ -9,6 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.size import WEAKEST
 
@@ -85,7 +86,7 @@ def _loads(robot: Robot) -> tuple[Array, Array, Array]:
     """Usual moment of inertia [kg m²], gravity torque [N m], least moment of inertia of each joint, ``(n,)`` each."""
     model, data = robot.pinocchio, robot.pinocchio.createData()
     postures = [robot.home] if "home" in robot.data.get("joints", {}) else spread_postures(robot.q_min, robot.q_max)
-    inertia = np.array([pin.crba(model, data, q).diagonal() for q in postures])
+    inertia = np.array([mass_matrix(model, data, q).diagonal() for q in postures])
     gravity = np.array([np.abs(pin.computeGeneralizedGravity(model, data, q)) for q in postures])
     return inertia.mean(axis=0), gravity.max(axis=0), inertia.min(axis=0)
 
@@ -142,8 +143,7 @@ def too_fast(robot: Robot, stiffness: Array, damping: Array, rotor: Array) -> ND
         swept[j, :, j] = np.linspace(low[j], high[j], SWEPT)
     stiffened = np.array(stiffness)
     for q in [*spread_postures(robot.q_min, robot.q_max), *swept.reshape(-1, robot.n)]:
-        mass = pin.crba(model, data, q)
-        mass = np.triu(mass) + np.triu(mass, 1).T
+        mass = mass_matrix(model, data, q)
         while (worst := fastest(mass, stiffened, rotor))[0] > FOLLOWED / STEP:
             stiffened[worst[1]] = np.inf
         # The rates are those of √D (M⁻¹ + J⁻¹) √D.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import mass_matrix
 from ideal_robot.robots.robot import Robot
 from sim.arm import kernel
 from sim.arm.world import World
@@ -42,4 +42,4 @@ class GainSchedule:
         p[[kernel.C_KP, kernel.C_KI]] = self._gains * (1.0 + self._share * (self._inertia(q) / self._home - 1.0))
 
     def _inertia(self, q: Array) -> Array:
-        return np.asarray(pin.crba(self._model, self._data, q).diagonal() + self._rotor)
+        return mass_matrix(self._model, self._data, q).diagonal() + self._rotor

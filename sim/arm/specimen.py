@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.joints import own_joints
 from ideal_robot.robots.robot import Robot
 from sim.arm.world import ExtraTorque, World
 
@@ -43,10 +44,9 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
     model = robot.pinocchio.copy()
     sheet = robot.rotor_inertia
     if world.body:
-        identified = world.bodies(n)
-        sheet = identified[10 * n : 11 * n]
-        for joint in range(1, model.njoints):
-            model.inertias[joint] = pin.Inertia.FromDynamicParameters(identified[10 * (joint - 1) : 10 * joint])
+        links, sheet, _ = world.bodies(model)
+        for joint, link in enumerate(links, start=1):
+            model.inertias[joint] = pin.Inertia.FromDynamicParameters(link)
     for joint in range(1, model.njoints):
         mass_factor = 1.0 + tolerance * rng.uniform(-1.0, 1.0)
         extension = 1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, 3)
@@ -83,13 +83,12 @@ def _displace(model: pin.Model, offsets: Array, turns: Array, twists: Array) -> 
     about the joints.
     """
     data = model.createData()
-    for joint in range(1, model.njoints):
+    for j, joint in enumerate(own_joints(model)):
         q = np.zeros(model.nq)
-        q[model.joints[joint].idx_q] = turns[joint - 1]
+        q[j] = turns[j]
         pin.forwardKinematics(model, data, q)
         turned = data.liMi[joint]
-        model.jointPlacements[joint] = pin.SE3(pin.exp3(twists[joint - 1]) @ turned.rotation,
-                                               turned.translation + offsets[joint - 1])
+        model.jointPlacements[joint] = pin.SE3(pin.exp3(twists[j]) @ turned.rotation, turned.translation + offsets[j])
 
 
 def _scaled(inertia: pin.Inertia, mass_factor: float, extension: Array) -> pin.Inertia:
@@ -124,18 +123,19 @@ def octave_edges(count: int) -> Array:
     return LOWEST * 2.0 ** np.arange(count + 1.0)
 
 
-def residual_torque(world: World, n: int, rng: np.random.Generator) -> ExtraTorque | None:
+def residual_torque(world: World, model: pin.Model, rng: np.random.Generator) -> ExtraTorque | None:
     """The world's ``extra_torque`` with its residual and the offsets of its body; None where it has none of them.
 
     Args:
         world: the true world.
-        n: number of joints.
+        model: Pinocchio model of the arm.
         rng: draws frequencies and phases; is not touched where the world has no residual.
 
     Raises:
         InputError: a row of the residual for another number of joints.
     """
-    offset = world.bodies(n)[11 * n :] if world.body else np.zeros(n)
+    n = model.nv
+    offset = world.bodies(model)[2] if world.body else np.zeros(n)
     extra = world.extra_torque
     if not world.residual:
         if not offset.any():

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import joint_motions, own_joints
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
 from sim.arm.world import World
@@ -49,7 +50,7 @@ class Structure:
         self._frame = model.frames[robot.tool_id]
         stiffness = world.per_joint("stiffness", n) * world.per_joint("stiffness_scale", n)
         self._compliance = world.per_joint("link_bending", n) / stiffness
-        self._axes = _axes(model)
+        self._axes, self._own = _axes(model), own_joints(model)
         self._expansion, self._reference = world.thermal_expansion, world.reference_temperature
         self._column = 0.0 if np.isinf(world.column_stiffness) else 1.0 / world.column_stiffness
         self._step = step
@@ -126,11 +127,11 @@ class Structure:
         model, data = self._model, self._data
         pin.rnea(model, data, q, qd, qdd)
         pin.framesForwardKinematics(model, data, q)
-        poses = [data.oMi[i] for i in range(1, model.njoints)]
+        poses = [data.oMi[i] for i in self._own]
         self._rotations = np.array([pose.rotation for pose in poses])
         self._places = np.array([*(pose.translation for pose in poses), data.oMf[self._tool].translation])
-        moments = np.array([data.f[i].angular for i in range(1, model.njoints)])
-        foot = np.array(poses[0].act(data.f[1]).angular)
+        moments = np.array([data.f[i].angular for i in self._own])
+        foot = np.array(data.oMi[1].act(data.f[1]).angular)
         if self._felt.any():
             # The joints carry against what pushes the tool.
             x, times_felt = self._places[-1], _cross(self._felt)
@@ -151,10 +152,8 @@ def moved(pose: pin.SE3, off: Array) -> pin.SE3:
 
 def _axes(model: pin.Model) -> Array:
     """Axes of the joints in their own frames ``(n, 3)``; zero of those that slide, whose bearings tilt either way."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    columns = (pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL) for i in range(1, model.njoints))
-    return np.array([np.asarray(column).reshape(6, -1)[3:, i] for i, column in enumerate(columns)])
+    motions = joint_motions(model)
+    return np.where(motions.prismatic[:, None], 0.0, motions.axis)[motions.own]
 
 
 def _oscillation(omega: float, damping: float, step: float) -> tuple[Array, Array]:

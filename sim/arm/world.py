@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, found_in
@@ -387,12 +388,16 @@ class World:
             changed[name] = tuple(drawn.tolist()) if len(value) > 1 else float(drawn[0])
         return self.replace(**changed)
 
-    def bodies(self, n: int) -> Array:
-        """``body`` as an array ``(12 n,)``; raises ``InputError`` for another number of values."""
-        body = np.atleast_1d(self.body)
-        if len(body) != 12 * n:
-            raise InputError(f"expected {12 * n} numbers for {n} joints", field="world.body", value=len(body))
-        return body
+    def bodies(self, model: pin.Model) -> tuple[Array, Array, Array]:
+        """``body`` by links ``(links, 10)``, rotor inertias and offsets ``(n,)`` each.
+
+        Raises ``InputError`` for another number of values than an arm of this model has.
+        """
+        body, links, n = np.atleast_1d(self.body), model.njoints - 1, model.nv
+        if len(body) != 10 * links + 2 * n:
+            raise InputError(f"expected {10 * links + 2 * n} numbers for {links} links and {n} joints",
+                             field="world.body", value=len(body))
+        return body[: 10 * links].reshape(links, 10), body[10 * links : -n], body[-n:]
 
     def replace(self, **changes: Any) -> World:
         """A checked copy with some effects changed.

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, G, interpolated
 from ideal_robot.jit import jit
+from ideal_robot.robots.joints import own_joints
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from sim import SimError
@@ -75,9 +76,9 @@ class ClampedArm:
     def _compliance(self) -> Array:
         """C_environment + Σ_j J_vj J_vjᵀ / k_link,j in the tool frame; J_vj: rotations of link j across its axis."""
         total = np.diag([1 / self.world.environment[0]] * 3 + [1 / self.world.environment[1]] * 3)
-        for joint in range(self.robot.n):
-            bending = (self._anchor.inverse() * self._data.oMi[joint + 1]).action[:, 3:5]
-            total = total + bending @ bending.T / self.world.link_stiffness[joint]
+        for stiffness, joint in zip(self.world.link_stiffness, own_joints(self.robot.pinocchio), strict=True):
+            bending = (self._anchor.inverse() * self._data.oMi[joint]).action[:, 3:5]
+            total = total + bending @ bending.T / stiffness
         return total
 
     def wrench(self, q: Array) -> Array:
@@ -297,7 +298,7 @@ def _loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever
         if np.max(np.abs(change)) < 1e-13:
             break
     bending = np.zeros(6)
-    for joint in range(robot.n):
-        across = (flange.inverse() * data.oMi[joint + 1]).action[:, 3:5]
-        bending += across @ (across.T @ wrench) / world.link_stiffness[joint]
+    for stiffness, joint in zip(world.link_stiffness, own_joints(robot.pinocchio), strict=True):
+        across = (flange.inverse() * data.oMi[joint]).action[:, 3:5]
+        bending += across @ (across.T @ wrench) / stiffness
     return flange * pin.exp6(pin.Motion(bending))

@@ -76,7 +76,7 @@ class Ros2Arm:
         from trajectory_msgs.msg import JointTrajectory
 
         self.arm, self.run, self.frozen, self.silent, self.timeout = arm, Ros2Run(), False, False, 0.5
-        self._names = [prefix + name for name in list(arm.robot.pinocchio.names)[1:]]
+        self._names = [prefix + name for name in arm.robot.joint_names]
         self._order = shuffled or list(range(arm.robot.n))
         self._delivered, self._degrees, self._kind = delivered, degrees, JointState
         self._rclpy, self._context = rclpy, rclpy.Context()

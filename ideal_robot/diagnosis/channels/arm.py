@@ -14,6 +14,7 @@ from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.regression import Regression, noise_floor
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames
 from ideal_robot.effects.loads import AngleLaw
+from ideal_robot.robots.joints import joint_motions, own_joints
 from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.sampling import resampled
@@ -136,13 +137,14 @@ def frames_along(robot: Robot, q: Array) -> Frames:
     """Joint frames, their axes and the TCP along a motion ``(N, n)``."""
     x, position, tip, full = (np.empty((len(q), *shape)) for shape in ((robot.n, 3), (robot.n, 3), (3,), (6, robot.n)))
     normals = common_normals(robot)
+    axis, motions, own = np.empty_like(x), joint_motions(robot.pinocchio), own_joints(robot.pinocchio)
     for k, (data, jacobian) in enumerate(_postures(robot, q)):
         tip[k], full[k] = data.oMf[robot.tool_id].translation, jacobian
-        for j in range(robot.n):
-            placement = data.oMi[j + 1]
+        for j, (joint, along) in enumerate(zip(own, motions.axis[motions.own], strict=True)):
+            placement = data.oMi[joint]
             position[k, j], x[k, j] = placement.translation, placement.rotation @ normals[j]
-    axis = np.where(robot.prismatic, full[:, :3], full[:, 3:]).transpose(0, 2, 1)
-    return Frames(axis.copy(), x, position, tip, full[:, :3].copy())
+            axis[k, j] = placement.rotation @ along
+    return Frames(axis, x, position, tip, full[:, :3].copy())
 
 
 def tool_motion(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array, Array]:

@@ -74,10 +74,10 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
 
     def body_on(link: int) -> Array:
         # A copy: a part of the whole regressor would keep all of it.
-        return regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link].copy()
+        return regressor(robot.pinocchio, q, qd, qdd)[:, :, model.base.layout.carried_by(link)].copy()
 
     payload = payload or any(e.effect.loop_change(e.coefficients, e.theta).body for e in model.effects)
-    body = body_on(n) if payload else None
+    body = body_on(0) if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
                       v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None,
@@ -196,7 +196,7 @@ def about_model(made: Regression, model: Model) -> Regression:
     chain = chain_of(model._exact_model)
     load = inverse_dynamics(chain, s.q, s.qd, s.qdd)
     friction = model.friction.torque(s.qd, load, s.q, np.column_stack([direction_of(s, j) for j in range(n)]))
-    torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
+    torque = load + model._exact[model.base.layout.rotors] * s.qdd + model.offset + friction
     weight = inverse_dynamics(chain, s.q, np.zeros_like(s.q), np.zeros_like(s.q))
     signals = replace(s, load=load, torque=torque, friction=friction, weight=weight,
                       constant=constant_of_weight(model.offset, weight), sliding=model.friction.sliding(s.q, s.qd),

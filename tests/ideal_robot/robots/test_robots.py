@@ -411,8 +411,10 @@ def test_a_start_posture_lies_inside_the_limits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("change", "says"), [
-    (('<joint name="joint_4" type="revolute">', '<joint name="joint_4" type="revolute"><mimic joint="joint_2"/>'),
-     "follows another one"),
+    (('<joint name="joint_4" type="revolute">', '<joint name="joint_4" type="revolute"><mimic joint="gone"/>'),
+     "follows no joint"),
+    (('<joint name="joint_4" type="revolute">', '<joint name="joint_4" type="revolute"><mimic joint="joint_4"/>'),
+     "follows no joint"),
     (('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>'), "an axis needs a direction"),
     (('<axis xyz="0 0 1"/>', "<axis/>"), "an axis needs a direction"),
 ])
