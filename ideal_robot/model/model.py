@@ -41,7 +41,7 @@ class Model(Summarised):
         base_values: their values ``(b,)``.
         friction: friction law of each joint.
         covariance: of the parameter vector (``ideal_robot.model.parametrisation``) ``(P, P)``.
-        consistent: physically possible full parameters ``(12 n,)``, closest to the base parameters: ten a link, rotor
+        consistent: physically possible full parameters ``(p,)``, closest to the base parameters: ten a link, rotor
             inertias, offsets.
         noise_std: standard deviation of the residual on the estimation data ``(n,)`` [N m].
         controller: the joint controllers, or None.
