@@ -347,7 +347,7 @@ def test_a_residual_has_its_spectrum_and_is_another_one_each_time() -> None:
     t = np.arange(0.0, 400.0, 0.02)
     drawn = []
     for seed in (1, 2):
-        torque = residual_torque(world, 6, np.random.default_rng(seed))
+        torque = residual_torque(world, Robot.load("kr6").pinocchio, np.random.default_rng(seed))
         assert torque is not None
         drawn.append(np.array([torque(instant, t[:6], t[:6], t[:6]) for instant in t]))
     f, density = welch(drawn[0], 50.0, nperseg=5000, axis=0)
@@ -357,7 +357,7 @@ def test_a_residual_has_its_spectrum_and_is_another_one_each_time() -> None:
         rms = np.sqrt(np.sum(density[inside], axis=0) * f[1])
         np.testing.assert_allclose(rms, size, rtol=0.15, atol=0.3)
     assert abs(np.corrcoef(drawn[0][:, 0], drawn[1][:, 0])[0, 1]) < 0.2
-    assert residual_torque(World.default("kr6"), 6, np.random.default_rng(1)) is None
+    assert residual_torque(World.default("kr6"), Robot.load("kr6").pinocchio, np.random.default_rng(1)) is None
 
 
 def test_the_individual_draws_what_nobody_measured() -> None:
