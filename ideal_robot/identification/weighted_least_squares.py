@@ -343,7 +343,7 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     scale, rotors = unit * parameter_scales(nominal, layout), layout.rotors
     as_links = scale[rotors].copy()
     scale[rotors] = np.maximum(scale[rotors], torque / np.maximum(np.std(acceleration, axis=0), 1e-6))
-    weight = unit * G * np.cumsum(nominal[layout.links][::-10])[::-1][list(layout.own)]
+    weight = unit * G * np.cumsum(nominal[layout.links][::10][::-1])[::-1][list(layout.own)]
     scale[layout.offsets] = np.where(robot.prismatic, np.maximum(weight, torque), _OFFSET * torque)
     covariance = (base.grouping * scale**2) @ base.grouping.T
     size = np.sqrt(np.diag(covariance))

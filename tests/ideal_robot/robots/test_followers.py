@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from ideal_robot.dynamics.newton_euler import chain_of, frames_of, inverse_dynam
 from ideal_robot.dynamics.newton_euler import mass_matrix as compiled_mass_matrix
 from ideal_robot.dynamics.regressor import link_parameters, regressor
 from ideal_robot.errors import InputError
+from ideal_robot.identification.weighted_least_squares import prior_of
 from ideal_robot.model.mjcf import export_mjcf
 from ideal_robot.model.model import Model
 from ideal_robot.robots.joints import joint_motions, mass_matrix, own_joints, without_followers
@@ -102,6 +104,20 @@ def test_base_parameters_and_possible_bodies_of_all_links(text: str, tmp_path: P
     assert found.smallest_eigenvalue.shape == (layout.bodies, 2)
     assert (found.smallest_eigenvalue[:, 1] > 0.0).all()
     assert set(base.joints) <= set(range(1, robot.n + 1))
+
+
+def test_the_offset_of_a_lift_is_known_to_the_weight_of_all_that_it_lifts(tmp_path: Path) -> None:
+    robot = Robot.load(written(tmp_path, LIFTED))
+    base = base_parameters(robot.pinocchio)
+    rng = np.random.default_rng(4)
+    signals: Any = SimpleNamespace(tau=rng.standard_normal((50, robot.n)), qdd=rng.standard_normal((50, robot.n)),
+                                   decimate=lambda values: values)
+    prior = prior_of(robot, base, [signals], amperes=False)
+    # Of the base parameters the offset alone is weight without motion; what is grouped into it adds to its spread.
+    offset = base.names.index("offset_1")
+    spread = float(np.sqrt(np.linalg.pinv(prior.information, rcond=1e-12)[offset, offset]))
+    weight = 9.81 * sum(body.mass for body in list(robot.pinocchio.inertias)[1:])
+    assert weight * 0.99 < spread < 3.0 * weight
 
 
 def test_rods_keep_a_wrist_level_wherever_the_arm_stands(tmp_path: Path) -> None:
