@@ -77,7 +77,7 @@ EXERCISES = {
                               "move the slider to where E_car is least, or search with off_by"),
     "residual_to_effect": Exercise(lambda made: 100.0 * (1.0 - made["error"] / made["before"]), 0.5,
                                    "by how much is the new error less, as a share of the old one?"),
-    "stiffness": Exercise(_stiffness, 0.1, "which factor makes one method's stiffness the other's? The sign counts"),
+    "stiffness": Exercise(_stiffness, 0.1, "which factor makes one method's stiffness the other's? The sign matters"),
 }
 """By the name of the notebook."""
 

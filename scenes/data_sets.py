@@ -168,7 +168,7 @@ def _arrays(content: bytes) -> dict[str, Any]:
     """What a ``mat`` file holds; ValueError for a broken one. Of some SciPy's compiled reader ends with its process."""
     [(_, answer)] = work_off([content], _in_mat, 1)
     if isinstance(answer, LostError):
-        raise ValueError("no reader survives it")
+        raise ValueError("SciPy's reader crashes on this file")
     if isinstance(answer, ValueError):
         raise answer
     return dict(answer)

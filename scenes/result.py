@@ -103,7 +103,7 @@ class ShownTable(Shown):
     def __repr__(self) -> str:
         (_, first, *_), rows = self.rows()
         figures = [f"{row[0]} {shown_cell(row[1])}" for row in rows]
-        return in_lines(type(self).__name__, f"{self.scene.name!r}: {len(rows)} plays",
+        return in_lines(type(self).__name__, f"{self.scene.name!r}: {len(rows)} runs",
                         [f"{first}: {figures[0]}", *figures[1:]] if figures else [])
 
     def _repr_html_(self) -> str:

@@ -132,7 +132,7 @@ class LifeSigns:
         self._innovations.append((size * values, values))
         total, count = np.sum(self._innovations, axis=0)
         if len(self._innovations) == TOGETHER and total > chdtri(count, BY_CHANCE):
-            self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
+            self.fault = self.fault or ("what it reports does not change as the arm moves (innovations "
                                         f"{total / count:.1f} times as large as their variance)")
 
     def loudness(self, noise: float, frequency: float, pace: float) -> float:
@@ -228,7 +228,7 @@ class LifeSigns:
         common = max(float(s @ s) / len(s) - 2.0 * variance, 0.0)
         error = 0.5 * float(np.sqrt(common * (own @ own))) / len(s)
         if variance > UNEVEN**2 + SURELY * error:
-            self.fault = self.fault or (f"its time stamps wander by {1e3 * np.sqrt(variance):.1f} ms, which its "
+            self.fault = self.fault or (f"its time stamps drift by {1e3 * np.sqrt(variance):.1f} ms, which its "
                                         "messages do not; look whose clock they are of")
 
     def _near(self, values: Array, reach: Array | float) -> bool:

@@ -124,7 +124,7 @@ class JointRows:
         return ((shape.reset or 0.0, *poles) if column.of.integrated or any(poles) else (), column)
 
     def column(self, shape: Shape, column: Column) -> Array:
-        """What a term makes of ``e`` at the rows ``(M,)``."""
+        """Column of the regression for one term of the law, at the rows ``(M,)``; computed once a shape."""
         key = self.key(shape, column)
         if key not in self._columns:
             parts = []

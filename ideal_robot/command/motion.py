@@ -126,7 +126,7 @@ class Motion:
 
     @cached_property
     def free_acceleration(self) -> tuple[Array, Array]:
-        """Accelerations ``(N, n)`` that the torques, and that gravity and Coriolis torques give the bodies, each."""
+        """Accelerations ``(N, n)`` of the bodies by the motor torques alone, and by gravity and Coriolis alone."""
         assert self.bodies is not None
         assert self.torque is not None
         M = self.bodies.mass(self.q)

@@ -86,10 +86,10 @@ SAME, TYPE = "the same arm", "another arm of its type"
 
 @dataclass(frozen=True)
 class Spread:
-    """What one quantity of one joint, or of all, differs by.
+    """By how much one quantity of one joint, or of all, differs from day to day and from arm to arm.
 
     Attributes:
-        torque: what all of it makes along a motion ``(N, n)`` [N m].
+        torque: of the whole quantity along a motion ``(N, n)`` [N m].
         day, type: shares of it by which one arm differs from day to day, and two arms of a type beyond that.
     """
 
@@ -213,7 +213,7 @@ def same_arm(model: Model) -> Array:
 
 
 def _same(model: Model) -> Array:
-    """Covariance of the model's parameters, the shapes of its friction laws being as they are ``(P, P)``."""
+    """Covariance ``(P, P)`` of the model's parameters, with the shapes of its friction laws fixed."""
     there = np.isfinite(model.covariance)
     finite = np.asarray(there.all(axis=0) & there.all(axis=1))
     C = np.where(np.outer(finite, finite), np.where(there, model.covariance, 0.0), 0.0)

@@ -344,7 +344,7 @@ class ThermalDrift(WarmingEffect):
     coefficient_names = ("change of viscous friction", "change of Coulomb friction")
     coefficient_units = ("N m s/rad", "N m")
     source = "[G] Figs 3, 12"
-    nowhere = ("how warm a gear is when a path begins cannot be told from the time since a "
+    nowhere = ("how warm a gear is when a path begins does not follow from the time since a "
                "recording began; method adapted follows friction while the arm works")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

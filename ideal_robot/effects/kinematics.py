@@ -85,7 +85,7 @@ class ThermalGrowth(GeometryChange, WarmingEffect):
     coefficient_names = ("strain",)
     coefficient_units = ("1",)
     source = "linear expansion, 12e-6/K for steel, 24e-6/K for aluminium"
-    nowhere = ("how warm a link is when a path begins cannot be told from the time since a "
+    nowhere = ("how warm a link is when a path begins does not follow from the time since a "
                "recording began, and the positional interface gives no temperature")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

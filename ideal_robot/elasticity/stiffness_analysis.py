@@ -242,7 +242,7 @@ def _warnings(signals: Sequence[ClampedSignals], robot: Robot, joints: Sequence[
             texts.append(f"{signal.source}: the Jacobian's condition number is {condition:.0f}; joint torques from the "
                          "wrench are unreliable there, clamp in another configuration")
         if 0 < len(signal.measured) < 6:
-            texts.append(f"{signal.source}: only {', '.join(signal.measured)} measured, the rest counts as zero")
+            texts.append(f"{signal.source}: only {', '.join(signal.measured)} measured, the rest is taken as zero")
     motor, wrench = ({entry.joint: entry for entry in joints if entry.method == method} for method in CLAMPED_METHODS)
     for joint in sorted(set(motor) & set(wrench)):
         own, other = motor[joint], wrench[joint]

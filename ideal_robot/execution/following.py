@@ -184,10 +184,10 @@ def _compared(command: Array, q: Array, expected: Array, tolerance: float, forge
 
 
 class Both:
-    """The ``Answer`` of an identified loop and of every loop in the table beside it.
+    """Expected angles of several loops at once: of the identified one, and of every loop of the table.
 
     Args:
-        known, table: the two.
+        known, table: what gives them; their rows follow each other.
     """
 
     def __init__(self, known: KnownLoop, table: AnyLoop) -> None:

@@ -86,7 +86,7 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
         raise InputError("a path needs two points at least", file=file, field="t", value=len(t))
     if len(t) >= FEW and checked_time(t, file or "path", _quickest(t, q_d, robot)):
         k = int(np.argmax(np.diff(t)))
-        raise InputError(f"the path has a gap of {t[k + 1] - t[k]:.4g} s after t = {t[k]:.6g} s, and nothing tells its "
+        raise InputError(f"the path has a gap of {t[k + 1] - t[k]:.4g} s after t = {t[k]:.6g} s, and nothing gives its "
                          "way there; give samples in between, or correct the pieces one by one", file=file, field="t",
                          value=float(t[k + 1]))
     require_joint_units(q_d, robot, file=file, column=column)

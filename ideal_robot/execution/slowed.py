@@ -69,7 +69,8 @@ def slowed(q_d: Array, correct: Callable[[Array], Array], robot: Robot, *, every
             break
     check_limits(path, robot, robot.t_ipo)
     check_limits(q_c, robot, robot.t_ipo)
-    raise LimitError(0, "speed of the path over that given", float(share.min()), _SLOWEST, "plan another path")
+    raise LimitError(0, "share of its speed at which the path would keep the limits", float(share.min()), _SLOWEST,
+                     "plan another path")
 
 
 def _smooth(share: Array, reach: int) -> Array:

@@ -149,5 +149,5 @@ LEARNED = Method(lambda setting: _learned(setting, ITERATIONS),
     "model": Method(_learned_on_model, "on the identified loop, before the arm moves", Needs.PATH)})
 IDEAL = Method(_ideal_robot,
                "inverse of the whole identified loop over the horizon ([L] 2.2)")
-ADAPTED = Method(_adapted, "the ideal robot, friction and tool mass adapted before and while the path is played",
+ADAPTED = Method(_adapted, "the ideal robot, friction and tool mass adapted before and while the path is run",
                  Needs.PLAYS)

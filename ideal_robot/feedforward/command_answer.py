@@ -38,7 +38,7 @@ class CommandAnswer(NamedTuple):
 
     @property
     def after(self) -> int:
-        """Rows of the weights that belong to cycles behind the command's."""
+        """Number of rows of the weights that belong to cycles after the command's."""
         return len(self.weights) - 1 - self.before
 
     @classmethod

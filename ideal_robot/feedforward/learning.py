@@ -73,7 +73,7 @@ class Learned(Summarised):
 
     def summary(self) -> list[tuple[str, str]]:
         """How far the criterion came down."""
-        return [("plays", f"{len(self.criterion)} plays, {self.stopped or 'learned to the last step'}"),
+        return [("plays", f"{len(self.criterion)} runs, {self.stopped or 'learned to the last step'}"),
                 ("criterion", f"{self.criterion[0]:.3g} → {self.best:.3g}")]
 
     @property

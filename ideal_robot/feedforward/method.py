@@ -181,7 +181,7 @@ class Setting:
     def plays(self) -> Practice:
         """Plays on the arm; raises InputError where there is no arm to play on."""
         if self.practice is None:
-            raise InputError("this method learns in plays on the arm; give practice=Practice(play)", field="practice")
+            raise InputError("this method learns in runs on the arm; give practice=Practice(play)", field="practice")
         return self.practice
 
 

@@ -94,7 +94,7 @@ class FrictionModel(ABC):
 
     @staticmethod
     def by_load(load: Array, direction: Array) -> Array:
-        """Dry friction of a unit ``a_load``, like ``load`` and ``direction``, which have the same shape."""
+        """Dry friction per unit of the coefficient ``a_load``, of the shape of ``load`` and ``direction``."""
         return np.abs(load) * direction
 
     def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,

@@ -61,7 +61,7 @@ class Friction(NamedTuple):
 
 @jit()
 def braking(sizes: Array) -> None:
-    """Sizes of friction that never drives: a rest of a law that falls with speed is less dry friction (Stribeck).
+    """Makes sizes of friction dissipative: fluid friction below zero is taken from the dry one, neither stays negative.
 
     Args:
         sizes: dry and fluid friction ``(n, 2, m, 2)`` [N m], written to.

@@ -161,7 +161,7 @@ def require_commands(recording: Recording, name: str) -> None:
     q_c, q = q_c[finite], q[finite]
     for j in range(recording.n):
         if np.ptp(q[:, j]) > _STEPS * _COPIED and np.max(np.abs(q_c[:, j] - q[:, j]), initial=0.0) < _COPIED:
-            raise InputError(f"these are the measured angles q_{j + 1} themselves; log what the controller was told",
+            raise InputError(f"these are the measured angles q_{j + 1} themselves; log what the controller was given",
                              file=recording.source, field=f"{name}_{j + 1}")
     still = np.std(q, axis=0) < _STEPS * _COPIED
     away = np.std(q_c[:, :, None] - q[:, None, :], axis=0)

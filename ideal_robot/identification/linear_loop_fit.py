@@ -96,7 +96,7 @@ def _noise(X: Array, y: Array) -> float:
 
 
 def _knowledge(size: int) -> list[tuple[Array, Array, float]]:
-    """What is known before, as measurements ``(H, z, σ)``: smooth, dying out, static gain one."""
+    """The prior of an impulse response as measurements ``(H, z, σ)``: smooth, dying out, static gain one."""
     return [(np.diff(np.eye(size), 2, axis=0), np.zeros(size - 2), 0.3),
             (np.diag(np.exp(0.1 * np.arange(size))), np.zeros(size), 1.0),
             (np.ones((1, size)), np.ones(1), 1e-4)]

@@ -317,7 +317,7 @@ def _with_command(recordings: Sequence[Recording], robot: Robot, model: Model, w
     for recording in recordings:
         if (j := moving_at_start(recording.t, recording.joints("q"))) is not None:
             warnings.append(f"starts-in-motion: joint {j + 1} moves in the first row already, and what its controller "
-                            "remembers is not in the log: the first second tells nothing of the controller "
+                            "remembers is not in the log: the first second says nothing of the controller "
                             f"[{recording.source}]")
     if model.controller is not None:
         law = judged(law, recordings, model, robot)

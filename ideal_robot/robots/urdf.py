@@ -134,7 +134,7 @@ def check_text(text: str, file: str | Path | None) -> None:
 
 
 def _check_element(element: ET.Element, file: str | Path | None) -> None:
-    """What Pinocchio passes over without a word, or makes an arm of that is another one."""
+    """Raises InputError for xacro commands and masses without a value, which Pinocchio reads without a word."""
     command = element.tag.rpartition("}")[2] if element.tag.startswith(_XACRO) else None
     # A value that is defined and nowhere used changes nothing.
     used = next((name for name, value in element.attrib.items() if "${" in value), None)

@@ -359,7 +359,7 @@ class RsiRobot(LinkedRobot):
                           {"current": current})
 
     def _external(self, message: RobMessage) -> str | None:
-        """An external axis that moves, though it is held."""
+        """Message about an external axis that has moved since RSI began; None where none has."""
         begun = None if self._first is None else self._first.external
         if begun is None or message.external is None or len(begun) != len(message.external):
             return None

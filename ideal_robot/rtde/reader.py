@@ -32,7 +32,7 @@ class RtdeReader(StateReader):
 
     def __init__(self, robot: Robot, host: str, port: int, patience: float) -> None:
         if robot.n != AXES:
-            raise InputError(f"RTDE tells of arms with {AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
+            raise InputError(f"RTDE reports arms with {AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
         self._connection = RtdeConnection(host, port, min(patience, _ANSWERS))
         try:
             self._connection.agree()

@@ -206,7 +206,7 @@ class RtdeRobot(LinkedRobot):
             raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
                             + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
         if not all(abs(value) < _LARGEST for values in data.values() for value in values):
-            raise RtdeError("the controller tells times, positions or currents that cannot be")
+            raise RtdeError("the controller reports times, positions or currents that cannot be")
         return data
 
     def _since(self, data: Values) -> int:

@@ -65,7 +65,7 @@ class ChannelFinding:
 
 
 def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
-    """What is to be said about the stamps, positions and torques of a recording with ``t``, ``q_i`` and ``tau_i``."""
+    """Findings about the stamps, positions and torques of a recording with ``t``, ``q_i`` and ``tau_i``."""
     notes = [*_stamps(recording)]
     tau, q = recording.joints("tau"), recording.joints("q")
     grid, _ = uniform_time(recording)

@@ -231,7 +231,7 @@ class _Layout:
 
 
 def _layout(path: Path) -> _Layout:
-    """How a text file is a table: by the first lines of as many values as titles stand over them.
+    """Finds separator, decimal sign and titles of a text file: a line of titles over lines of as many values.
 
     A line of units between titles and values joins the titles; without titles columns are ``column_1``, ….
     """

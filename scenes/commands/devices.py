@@ -75,8 +75,8 @@ class FollowOptions:
     check: Annotated[bool, typer.Option("--check/--no-check", help="Before the job test whether this computer holds "
                                         "the cycle, look at the line from several poses above it where the camera is "
                                         "calibrated, and compare tool and contact with the last run's.")] = True
-    tool_mass: Annotated[float | None, typer.Option(help="Of all that hangs on the force sensor [kg]: what it weighs "
-                                                    "then tells its gain.", min=0.01, max=100.0)] = None
+    tool_mass: Annotated[float | None, typer.Option(help="Of all that hangs on the force sensor [kg]: its weight "
+                                                    "then gives its gain.", min=0.01, max=100.0)] = None
     json: JsonFigures = None
     out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None
 
@@ -132,7 +132,7 @@ class PlayOptions:
                                               "it feels beyond the tool's weight stops the arm.")] = None
     force_delay: Annotated[float, typer.Option(help="From measurement to arrival, at least [ms].", min=0.0,
                                                max=1000.0)] = 0.0
-    most_force: Annotated[float, typer.Option(help="Force that the path may meet [N]; less than 15 counts as "
+    most_force: Annotated[float, typer.Option(help="Force that the path may meet [N]; less than 15 is taken as "
                                               "touching nothing.", min=0.0, max=100_000.0)] = 0.0
     compare: Annotated[bool, typer.Option("--compare", help="Play the path as it is desired first, then as it is "
                                           "corrected, and print the errors of both.")] = False

@@ -183,8 +183,8 @@ def _questions(result: Path | None, recording: Recording, arm: Robot, known: Mod
 def _show_planned(plan: DiagnosisPlan, out: Path) -> None:
     """Prints how well each pair of causes is distinguished, what no motion can decide, and where the motion is."""
     if plan.pairs:
-        show_table("what is to be told apart: standard deviations between the two, and share of its own",
-                   ["cause", "or", "recorded σ", "own %", "planned σ", "own %", "told apart"],
+        show_table("what is to be distinguished: standard deviations between the two, and share of its own",
+                   ["cause", "or", "recorded σ", "own %", "planned σ", "own %", "distinguishable"],
                    [[pair.cause, pair.rival or "none", pair.before.sigma, 100.0 * pair.before.own_share,
                      pair.planned.sigma, 100.0 * pair.planned.own_share, "yes" if pair.told_apart else pair.only]
                     for pair in plan.pairs])

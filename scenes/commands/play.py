@@ -45,7 +45,7 @@ class PlayedScene:
     speed: Speed = None
     seed: Seed = None
     individual: Individual = None
-    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop, cell or "
+    world: Annotated[str | None, typer.Option(help="World that it runs in instead of the scene's: workshop, cell or "
                                                    "bench.")] = None
     n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
                                                           "up.")] = None
@@ -85,7 +85,7 @@ class RunOptions(PlayedScene):
 
 
 def run(options: RunOptions) -> None:
-    """Plays a scene and writes its recording and a report.
+    """Runs a scene and writes its recording and a report.
 
     Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json --video line.gif`
 
@@ -256,7 +256,7 @@ def close_loop(
     speed: Speed = None,
     measured: Annotated[str, typer.Option(help="What the arm measures: motor (angles and currents), arm (arm angles "
                                                "too) or tcp (the tool's place too).")] = "tcp",
-    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop, bench or "
+    world: Annotated[str | None, typer.Option(help="World that it runs in instead of the scene's: workshop, bench or "
                                                    "cell, where drives do what no model knows.")] = None,
     json: JsonFigures = None,
     out: Annotated[Path | None, typer.Option(help="Folder of recording, model and report; default out/SCENE.")] = None,

@@ -409,7 +409,7 @@ def precorrect(options: PrecorrectOptions) -> None:
     show_table("Correction per joint", *table(result, measured))
     if beyond := result.beyond_uncorrected:
         typer.echo(f"warning: within the spread of the controller the corrected path may miss by more than the path "
-                   f"itself does in joint {', '.join(map(str, beyond))}; a recording with commands (q_c_i) tells the "
+                   f"itself does in joint {', '.join(map(str, beyond))}; a recording with commands (q_c_i) gives the "
                    "controller", err=True)
     for warning in result.warnings:
         typer.echo(f"warning: {warning}", err=True)

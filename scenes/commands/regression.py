@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class CheckOptions:
     """Options of ``check``."""
 
-    suite: Annotated[Path, typer.Argument(help="Suite file (.toml): what is played, and its bounds.")]
+    suite: Annotated[Path, typer.Argument(help="Suite file (.toml): what is run, and its bounds.")]
     update_baseline: Annotated[bool, typer.Option("--update-baseline", help="Write the results as the new "
                                                                              "baseline.")] = False
     baseline: Annotated[Path | None, typer.Option(help="Baseline file; default: the suite's, or NAME.baseline.json "

@@ -56,7 +56,7 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
     page.next(*result.next_steps())
     page.heading("Force and surface")
     page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
-                "travel, which counts. Bottom: height of the true surface and of the undeformed tip, which has to be "
+                "travel, which is evaluated. Bottom: height of the true surface and of the undeformed tip, which has to be "
                 "F/E below it.")
     if result.control_error is not None:
         page.heading("Line")
@@ -87,7 +87,7 @@ def comparison_page(comparison: ForceComparison) -> Report:
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     page.table(columns, rows)
     page.figure(forces_figure(comparison), "True normal force, a panel for each method on the same scale; dashed: the "
-                f"{scene.force:g} N that are wanted. What counts in the table is the travel, without touching down and "
+                f"{scene.force:g} N that are wanted. The table has the travel, without touching down and "
                 "lifting off.")
     if comparison.troubles:
         page.heading("The camera in trouble")

@@ -133,7 +133,7 @@ def twin_text(twin: Twin, robot_name: str, file: Path) -> str:
     named = robot_name if robot_name in SHIPPED or os.path.isabs(robot_name) else \
         os.path.relpath(robot_name, file.parent)
     head = [f"# A twin of {robot.name}, made of recordings. Told by them:", *(f"#   {text}" for text in twin.seen),
-            "# Not told, and taken instead:", *(f"#   {text}" for text in twin.assumed or ("nothing",))]
+            "# Not known, and taken instead:", *(f"#   {text}" for text in twin.assumed or ("nothing",))]
     table = {key: value for key, value in twin.table.items() if key != "spread"}
     world = ["[world]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "", "[world.spread]",
              *(f"{key} = {_toml(value)}" for key, value in twin.table["spread"].items())]

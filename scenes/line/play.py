@@ -88,7 +88,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
                     CycleSettings(scene.reference.acceleration, REST, longest, longest, method.key), progress)
         t, tcp = arm.tcp_path()
         if log.failure and len(t) < 2:
-            raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
+            raise SceneError(f"the arm did not move: {log.failure or 'no cycle was run'}")
         shown = tuple(replace(frame, image=carried.whole(frame.field)) for frame in log.shown)
         recording = recorded(arm, scene, method.key, log, scene.tracker, _mounted(cell.known.camera), scene.points)
     whole, error = _control_error(cell, t, tcp, log.first_used)

@@ -85,7 +85,7 @@ class ContactWitness:
         return len(self._swung) >= _UNSEEN
 
     def fused(self, innovation: float, values: int) -> None:
-        """See ``scenes.online.contact.Witness``: the map of a surface tells how well it fits."""
+        """See ``scenes.online.contact.Witness``: keeps how well forces fit the map of a surface."""
         if self._unsure():
             return
         if not isinstance(self._follower, SurfaceFollower):

@@ -137,7 +137,7 @@ class Felt:
 
 
 class _Shared:
-    """The controller's time since a player began with it, as the force sensor's readings are given it."""
+    """The player's clock as the force sensor sees it: the controller's time since the path began."""
 
     def __init__(self) -> None:
         self.clock, self.at_begin, self.zero = ClockRelation(), list[Callable[[], None]](), 0.0

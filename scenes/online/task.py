@@ -64,7 +64,7 @@ class Sensor(ABC):
         """Fuses what has arrived by ``t`` [s], or does the next part of it."""
 
     def look(self) -> None:
-        """Looks whether the device lives, at what was fused since it was last called."""
+        """Checks the device's health by what was fused since the last call."""
         return
 
     def check(self, t: float) -> None:

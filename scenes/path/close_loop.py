@@ -209,7 +209,7 @@ class ArmOnPath(Subject[Play]):
         """See ``Subject.section``."""
         if self.plan is not None:
             page.heading("The motion that the diagnosis asked for")
-            page.table(["cause", "or", "recorded σ", "planned σ", "told apart"], self.plan.table(),
+            page.table(["cause", "or", "recorded σ", "planned σ", "distinguishable"], self.plan.table(),
                        self.plan.reason or f"In round {self.plan.round} nothing stayed, and these were open. σ: "
                        "expected distance of the two causes in standard deviations of the noise, by the motion that "
                        "was recorded and by the one that was planned, played and diagnosed.")

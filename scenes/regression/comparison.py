@@ -73,7 +73,7 @@ class Bound:
         if self.seeds == 1:
             return "one seed does not tell how it scatters; give it three or more"
         if self.flaky > _CERTAIN:
-            seeds = "more seeds than anybody plays" if self.needed is None else f"{self.needed} seeds"
+            seeds = "more seeds than anybody runs" if self.needed is None else f"{self.needed} seeds"
             return (f"flaky: {self.seeds} other seeds give the other answer with a chance of "
                     f"{100.0 * self.flaky:.0f} %; {seeds} tell, or another bound")
         return ""

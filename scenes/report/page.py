@@ -141,7 +141,7 @@ class Report:
     def calibration(self, camera: HandEye) -> None:
         """What moving over the line before the run has shown of the camera."""
         self.text(
-            "Before the run the camera was calibrated by moving it over a piece of the line ([L] 4.4): seen from "
+            "Before the run the camera was calibrated by moving it over a segment of the line ([L] 4.4): seen from "
             f"all poses, its points lay {1e3 * camera.residual_before:.2f} mm (RMS) from one common curve with the "
             f"camera as mounted by hand, and {1e3 * camera.residual_after:.3f} mm with the camera as calibrated. Where "
             f"the middle of its view lies across the travel is known to ± {1e3 * camera.across():.3f} mm.")

@@ -355,7 +355,7 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
 
 
 def _floats(values: Array) -> Array:
-    """Numbers as they were written; of another type they would take more room than was counted."""
+    """Returns the values; ValueError where they are no float64, for which the limit of memory was checked."""
     if values.dtype != np.float64:
         raise ValueError(f"numbers of type {values.dtype}")
     return values

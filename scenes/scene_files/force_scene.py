@@ -163,6 +163,6 @@ class ForceScene(Scene):
             # A table that is begun fills itself up; what the file has is named first.
             for key in sorted(keys or type(usual).model_fields, key=lambda key: key not in settings.model_fields_set):
                 if getattr(settings, key) != getattr(usual, key):
-                    raise InputError(f'counts only with task = "glue"; leave it out with "{self.task}"',
+                    raise InputError(f'is used only with task = "glue"; leave it out with "{self.task}"',
                                      field=f"{table}.{key}", value=getattr(settings, key))
         return self

@@ -56,7 +56,7 @@ def _measured(piece: Line | Arc, start: Array) -> tuple[float, Array, Array]:
         step = np.array(piece.end) - start
         length = float(np.linalg.norm(step))
         if length < 1e-6:
-            raise InputError("a piece of the path has no length", field="shape", value=piece.end)
+            raise InputError("a segment of the path has no length", field="shape", value=piece.end)
         return length, step / length, step / length
     radius = start - np.array(piece.centre)
     side = np.sign(piece.angle)

@@ -252,7 +252,7 @@ def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) 
     assert content[176] == 9  # the first variable's numbers are doubles
     content[176] = 0
     place.write_bytes(content)
-    with pytest.raises(InputError, match="no reader survives it"):
+    with pytest.raises(InputError, match="reader crashes on this file"):
         fetch("emps", tmp_path, file=place)
 
 

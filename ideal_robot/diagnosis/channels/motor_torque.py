@@ -142,11 +142,11 @@ def _moving_samples(filtered: FilteredSignals, v_small: Array, robot: Robot) -> 
         turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
         noise_travel = 20.0 * v_small[j] * dt
         if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
-            undecided[j + 1] = (f"moves {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}, which hardly tells "
-                                "its causes apart")
+            undecided[j + 1] = (f"moves {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}, in which "
+                                "its causes are hardly distinguishable")
         elif turns < 2:
             undecided[j + 1] = (f"turns round {('never', 'once')[turns]}: friction, gravity and an offset are hardly "
-                                "told apart there")
+                                "distinguishable there")
     return moving, undecided
 
 

@@ -195,7 +195,7 @@ def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> di
             if name in recording.columns and not present:
                 result[name] = _GAPS
             elif present and prefix == "qa" and (arm is None or not arm.use[:, j].any()):
-                result[name] = f"joint {j + 1} has no sample that counts"
+                result[name] = f"joint {j + 1} has no sample that is used"
     result |= {name: _GAPS for name in "xyz" if not np.all(np.isfinite(recording.columns.get(name, 0.0)))}
     together: list[tuple[tuple[str, ...], str]] = [
         (("qx", "qy", "qz", "qw"), "the tool's orientation is not looked at")]

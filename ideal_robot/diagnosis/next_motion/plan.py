@@ -46,7 +46,7 @@ class PlannedPair:
     Attributes:
         cause, rival: in words; the rival is empty for a joint that is to be decided.
         before, planned: by the recording's motion and by the planned one.
-        only: what would tell them where the planned motion does not; empty where it does.
+        only: what would distinguish them where the planned motion does not; empty where it does.
     """
 
     cause: str
@@ -183,7 +183,7 @@ def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot)
         open_pairs += pairs
         not_asked += mute
     open_pairs += undecided_joints(problems[MOTOR_TORQUE], robot, questions.undecided)
-    not_asked += [f"{c.name}: no motion of the joints by itself tells it from "
+    not_asked += [f"{c.name}: no motion of the joints by itself distinguishes it from "
                   f"{', '.join(name for name, _ in c.rivals)}; follow a line longer, with other speeds and curvature"
                   for c in questions.found
                   if c.rivals and not any(effect.domain in problems for effect in c.effects)]

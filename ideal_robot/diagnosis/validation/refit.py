@@ -52,7 +52,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
         if place is not None:
             wanted.setdefault(place, []).append((_named(name, place), joint))
         elif name not in names():
-            raise InputError("no such effect", field="effect", value=name)
+            raise InputError("no such effect; `ideal-robot list effects` prints them", field="effect", value=name)
     fitted: list[FittedEffect] = []
     for domain, regression in by_domain.items():
         if domain in wanted:
