@@ -228,7 +228,7 @@ class LifeSigns:
         common = max(float(s @ s) / len(s) - 2.0 * variance, 0.0)
         error = 0.5 * float(np.sqrt(common * (own @ own))) / len(s)
         if variance > UNEVEN**2 + SURELY * error:
-            self.fault = self.fault or (f"its time stamps drift by {1e3 * np.sqrt(variance):.1f} ms, which its "
+            self.fault = self.fault or (f"its time stamps wander by {1e3 * np.sqrt(variance):.1f} ms, which its "
                                         "messages do not; look whose clock they are of")
 
     def _near(self, values: Array, reach: Array | float) -> bool:

@@ -106,7 +106,8 @@ class Stamps:
         if self.rise is None:
             return "not known"
         return {0: "do not rise: repeated and late packets cannot be recognised",
-                self.step: f"rise by {self.step} ms a cycle"}.get(self.rise, "rise by 1 a packet: the cycle cannot be checked by them")
+                self.step: f"rise by {self.step} ms a cycle"
+                }.get(self.rise, "rise by 1 a packet: the cycle cannot be checked by them")
 
     def _never(self, since: int) -> int:
         self._same = self._same + 1 if since == 0 and self.rise is None else 0

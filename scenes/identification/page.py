@@ -169,8 +169,8 @@ def _parameters(page: Report, model: Model) -> None:
              ("p_g" if gravitational[p.name] else "p_m") if p.name in gravitational else "friction",
              p.meaning] for p in sorted(model.parameters, key=lambda p: p.std_percent)]
     page.table(["name", "joint", "value", "σ", "σ [%]", "unit", "group", "stands for"], rows,
-               "σ takes correlated residuals into account, so it is wider than the usual one. p_g act through gravity too, "
-               "p_m through inertia only ([G] (6)).", folded=f"All {len(rows)} parameters, the surest first")
+               "σ takes correlated residuals into account, so it is wider than the usual one. p_g act through gravity "
+               "too, p_m through inertia only ([G] (6)).", folded=f"All {len(rows)} parameters, the surest first")
 
 
 def _friction_choice(page: Report, analysis: IdentificationResult) -> None:
