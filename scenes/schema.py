@@ -77,9 +77,9 @@ def world_keys() -> tuple[Key, ...]:
         explained = next((text for text in meanings.values() if f"``{field.name}``" in text), "")
         meanings.setdefault(field.name, explained)
     base = Key("world", "base", None, False, " or ".join(WORLDS), "World that the scene runs in; "
-               "`world = \"bench\"` is short for a table with that alone. In the workshop, the default of line and force "
-               "scenes, the defaults of their tables above hold; on the bench nothing is displaced in height, worn or "
-               "lost. The cell is the workshop with pictures and an arm as cells have them.")
+               "`world = \"bench\"` is short for a table with that alone. In the workshop, the default of line and "
+               "force scenes, the defaults of their tables above hold; on the bench nothing is displaced in height, "
+               "worn or lost. The cell is the workshop with pictures and an arm as cells have them.")
     spread = Key("world", "spread", None, False, "a table of numbers from 0 to 3",
                  "Standard deviations of keys that nobody measured, of their logarithms; the individual draws them.")
     return base, spread, *(Key("world", field.name, None, False, _plain_type(str(field.type)), meanings[field.name])

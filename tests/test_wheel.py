@@ -28,7 +28,7 @@ SHOWS = {
     "diagnose_plot": "stribeck in tau_4", "identify_frame": "controller", "own_driver": "played to its end",
     "own_effect": "air_drag in tau_1", "own_feedforward": "OneCycleAhead", "own_robot": "expected rms error",
     "own_sensor": "(47, 47)", "own_svg": "LineResult('svg')", "precorrect_arrays": "expected rms error",
-    "sweep": "worst mean",
+    "sweep": "fastest within 0.2 mm", "close_loop": "added: joint_elasticity in joint 2",
 }
 """What each of them prints."""
 

@@ -56,8 +56,8 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
     page.next(*result.next_steps())
     page.heading("Force and surface")
     page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
-                "travel, which is evaluated. Bottom: height of the true surface and of the undeformed tip, which has to "
-                "be F/E below it.")
+                "travel, which is evaluated. Bottom: height of the true surface and of the undeformed tip, which has "
+                "to be F/E below it.")
     if result.control_error is not None:
         page.heading("Line")
         page.figure(_line_figure(result), "Distance of the tip from the drawn line, and how many points "
