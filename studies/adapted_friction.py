@@ -42,9 +42,8 @@ def friction_sigma(runs: int = 100, first: int = 1, scene: str = "iso9283_2") ->
     cell = set_up(load_scene(scene), delay=False)  # type: ignore[arg-type]
     head("engine", "compared", "RMS of (estimate - truth) / σ", *(f"at {speed:g}" for speed in SPEEDS),
          "within 2 σ", "σ over dry friction", "|truth - identified| over dry friction")
-    engines: dict[str, Engine] = {"identified loop": _in_loop, "simulated arm": _on_arm}
-    for name, engine in engines.items():
-        parts = [_compared(cell, engine, seed) for seed in range(first, first + runs)]
+    for name, engine in ENGINES.items():
+        parts = [compared(cell, engine, seed) for seed in range(first, first + runs)]
         z, sigma, lacking = (np.concatenate([part[k] for part in parts]) for k in range(3))
         row(name, int(np.isfinite(z).sum()), f"{_rms(z):.2f}", *(f"{_rms(z[:, k]):.2f}" for k in range(len(SPEEDS))),
             f"{100 * np.mean(np.abs(z[np.isfinite(z)]) < 2.0):.0f} %", f"{np.nanmedian(sigma):.3f}",
@@ -55,8 +54,13 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def _compared(cell: PathCell, engine: Engine, seed: int) -> tuple[Array, Array, Array]:
-    """Errors over σ, σ and what the identified friction lacks over dry friction ``(n, speeds)``; NaN where unseen."""
+def compared(cell: PathCell, engine: Engine, seed: int) -> tuple[Array, Array, Array]:
+    """Errors over σ, σ and what the identified friction lacks over dry friction ``(n, speeds)``; NaN where unseen.
+
+    Args:
+        cell, engine: about whose path the arm moves, and what learns from that.
+        seed: of motion, truth and noise.
+    """
     rng, loop, robot = np.random.default_rng(seed), cell.loop(), cell.robot
     motion = training_motion(cell.path.q_d, robot.t_ipo)
     # Another motion in every run: more or less of the same, about another middle.
@@ -125,3 +129,7 @@ def _on_arm(cell: PathCell, motion: Array, rng: np.random.Generator) -> tuple[Fr
 
 def _adaptation(cell: PathCell, loop: Loop) -> FrictionAdaptation:
     return FrictionAdaptation(loop, tool=cell.robot.tool_place, noise_std=cell.model.noise_std)
+
+
+ENGINES: dict[str, Engine] = {"identified loop": _in_loop, "simulated arm": _on_arm}
+"""In which friction is known and learned."""
