@@ -6,12 +6,13 @@ that ends within a record, as that of a killed recorder does, what is whole is r
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import struct
 from array import array
 from bz2 import BZ2Decompressor
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
@@ -44,6 +45,7 @@ _LISTED = 8
 _WORDS = "metadata.yaml"
 _PIECE = 1 << 20  # bytes that are read and unfolded at a time
 _MCAP = b"\x89MCAP0\r\n"
+_SQLITE = b"SQLite format 3"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX = 3, 4, 5, 6, 8  # op codes of MCAP's specification
 _IN_DATA = (*range(1, 2), *range(3, 7), 9, 12)
 """Op codes of what stands before a file's summary but indices: header, schemas, channels, messages, chunks, …"""
@@ -85,7 +87,19 @@ def read_bag(path: Path, topic: str | None = None, joints: Sequence[str] | None 
         except InputError:
             raise
         except Exception as error:  # a damaged bag can fail anywhere in the reader
-            raise InputError(f"not a readable bag ({error})", file=path) from error
+            raise InputError(f"not a readable bag ({error}); {_remedy(path)}", file=path) from error
+
+
+def _remedy(path: Path) -> str:
+    """What may save some of a damaged bag, by the first bytes of its files."""
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if file.is_file():
+            with file.open("rb") as stream:
+                begin = stream.read(16)
+            for magic, remedy in _REMEDIES.items():
+                if begin.startswith(magic):
+                    return remedy.format(file=file.name)
+    return "record it anew, or give the columns as a table (.csv, .parquet)"
 
 
 @dataclass
@@ -344,10 +358,10 @@ def _whole(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
         return ([path] if path.is_file() or ((path / _WORDS).is_file() and not said) or not files else files), said
     for file in cut:
         mended = folder / file.name
-        lost = _mend(file, mended)
+        lost = _mend(file, mended) if file.suffix == ".mcap" else _mend_db3(file, mended)
         files[files.index(file)] = mended
-        said.append(f"cut: {file.name} ends within a record, as a killed recorder leaves it; what is whole is read"
-                    + (f", {100.0 * lost:.2g} % of its bytes are left out" if lost else ""))
+        said.append(f"cut: {file.name} ends within a record, as a killed recorder or a copy that was broken off leaves "
+                    "it; what is whole is read" + (f", {100.0 * lost:.2g} % of its bytes are left out" if lost else ""))
     return files, said
 
 
@@ -361,9 +375,13 @@ def _renamed(path: Path, files: Sequence[Path]) -> list[str]:
 
 
 def _is_cut(file: Path) -> bool:
-    """Whether an MCAP file begins as one and does not end as one."""
+    """Whether an MCAP file begins as one and does not end as one, or SQLite's has fewer pages than it says."""
     with file.open("rb") as stream:
-        if stream.read(len(_MCAP)) != _MCAP:
+        begin = stream.read(100)
+        if begin.startswith(_SQLITE) and len(begin) == 100:
+            size, count = _pages(begin)
+            return file.stat().st_size < size * count
+        if not begin.startswith(_MCAP):
             return False
         stream.seek(-min(len(_MCAP), file.stat().st_size), 2)
         return stream.read() != _MCAP
@@ -398,6 +416,38 @@ def _mend(file: Path, mended: Path) -> float:
     if not messages:
         raise InputError("ends before its first message; record it again", file=file)
     return 1.0 - kept / size
+
+
+def _pages(header: bytes) -> tuple[int, int]:
+    """Size [bytes] and number of the pages that an SQLite file has by its header, which has 100 bytes."""
+    size, = struct.unpack_from(">H", header, 16)
+    return 65536 if size == 1 else size, struct.unpack_from(">I", header, 28)[0]
+
+
+def _mend_db3(file: Path, mended: Path) -> float:
+    """Writes the messages of an SQLite bag that come before its end; returns the share of its bytes left out."""
+    raw = mended.with_suffix(".cut")
+    shutil.copyfile(file, raw)
+    with raw.open("r+b") as stream:
+        size, said = _pages(stream.read(100))
+        there = raw.stat().st_size // max(size, 1)
+        # Its number of pages is what keeps the library from reading those that are there.
+        stream.seek(28)
+        stream.write(struct.pack(">I", there))
+    messages = 0
+    with closing(sqlite3.connect(f"{raw.resolve().as_uri()}?mode=ro", uri=True)) as old, closing(
+            sqlite3.connect(mended)) as new:
+        for name, sql in _stored(old):
+            new.execute(sql)
+            with suppress(sqlite3.DatabaseError):  # where the pages end
+                for row in old.execute(f"SELECT * FROM {name}"):
+                    new.execute(f"INSERT INTO {name} VALUES ({', '.join('?' * len(row))})", row)
+                    messages += name == "messages"
+        new.commit()
+    raw.unlink()
+    if not messages:
+        raise InputError("ends before its first message; record it again", file=file)
+    return 1.0 - there / said
 
 
 def _records_of_begun_chunk(stream: IO[bytes], size: int, file: Path) -> Iterator[bytes]:
@@ -513,17 +563,24 @@ def _in_bag(file: Path) -> Iterator[int]:
 def _in_db3(file: Path) -> Iterator[int]:
     """Yields the sizes of an SQLite bag's messages [bytes], from stored columns only."""
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
-        names = ("topics", "messages", "message_definitions", "schema", "metadata")
-        tables = base.execute("SELECT name, type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?, ?, ?)", names)
-        for name, kind, sql in tables.fetchall():
-            columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall()
-            if kind != "table" or not sql.upper().startswith("CREATE TABLE") or any(column[6] for column in columns):
-                raise ValueError(f"{name} is computed, not stored")
+        _stored(base)
         packed = "CASE WHEN substr(data, 1, 4) = x'28b52ffd' THEN data END"
         for length, message in base.execute(f"SELECT length(data), {packed} FROM messages"):
             yield int(length or 0)
             if message is not None:
                 yield from map(len, _unpacked(iter([message]), "zstd"))
+
+
+def _stored(base: sqlite3.Connection) -> list[tuple[str, str]]:
+    """Names of a bag's tables and what creates them; raises ValueError for one that is computed."""
+    names = ("topics", "messages", "message_definitions", "schema", "metadata")
+    tables = base.execute("SELECT name, type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?, ?, ?)",
+                          names).fetchall()
+    for name, kind, sql in tables:
+        columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall()
+        if kind != "table" or not sql.upper().startswith("CREATE TABLE") or any(column[6] for column in columns):
+            raise ValueError(f"{name} is computed, not stored")
+    return [(name, sql) for name, _, sql in tables]
 
 
 def _in_zstd(file: Path) -> Iterator[int]:
@@ -536,8 +593,15 @@ def _in_zstd(file: Path) -> Iterator[int]:
         _check_unfolding(Path(whole.name), file.stat().st_size)
 
 
-_COUNTED = {_MCAP: _in_mcap, b"#ROSBAG": _in_bag, b"SQLite format 3": _in_db3, b"\x28\xb5\x2f\xfd": _in_zstd}
+_COUNTED = {_MCAP: _in_mcap, b"#ROSBAG": _in_bag, _SQLITE: _in_db3, b"\x28\xb5\x2f\xfd": _in_zstd}
 """How each kind is counted, by its first bytes."""
+
+
+_REMEDIES = {_MCAP: "mcap recover {file} -o whole.mcap saves the whole chunks",
+             b"#ROSBAG": "rosbag reindex {file} saves the whole chunks",
+             _SQLITE: "sqlite3 {file} .dump shows what of it is whole",
+             b"\x28\xb5\x2f\xfd": "unpack it with zstd -d {file} to see how much of it is whole"}
+"""What may be done about a damaged bag, by its first bytes."""
 
 
 def _word(stream: IO[bytes]) -> str:

@@ -98,6 +98,31 @@ def test_an_index_that_names_a_chunk_twice_or_another_way_is_refused(tmp_path: P
             Recording.read(folder)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.6, 0.75, 0.9])
+def test_of_a_bag_that_was_cut_short_what_is_whole_is_read(tmp_path: Path, share: float) -> None:
+    rows = 3000
+    positions = np.column_stack([np.full(rows, 0.1), np.arange(rows) / 100])
+    folder = write_bag(tmp_path / "bag", "SQLITE3", ["b", "a"], positions, np.zeros((rows, 0)))
+    file, = folder.glob("*.db3")
+    sound = file.read_bytes()
+    # Pages of messages lie before those of the index, which takes some tenths.
+    file.write_bytes(sound[: int(share * len(sound))])
+    for path in (folder, file):
+        recording = Recording.read(path)
+        read = len(recording.t)
+        assert 0.5 * share * rows < read <= rows
+        np.testing.assert_array_equal(recording.columns["q_2"], np.arange(read) / 100)
+        assert any(text.startswith("cut: ") for text in recording.meta["reading"])
+
+
+def test_a_bag_of_which_hardly_anything_is_there_is_refused(tmp_path: Path) -> None:
+    file, = joint_states(tmp_path / "bag").glob("*.db3")
+    for size in (50, 100, 5000):
+        file.write_bytes(file.read_bytes()[:size])
+        with pytest.raises(InputError, match=r"not a readable bag|before its first message"):
+            Recording.read(file)
+
+
 @pytest.mark.parametrize("made", [
     "CREATE VIEW messages(id, topic_id, timestamp, data) AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 "
     "FROM c) SELECT x, 1, x, zeroblob(1000) FROM c",
