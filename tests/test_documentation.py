@@ -223,9 +223,9 @@ def test_parameters_are_described(folder: str) -> None:
 
 def fields_of(class_: ast.ClassDef) -> set[str]:
     """Names of annotated, assigned or computed attributes of a class, and of those that its ``__init__`` sets."""
-    fields = {target.id for node in class_.body for target in (
+    fields = {name.id for node in class_.body for target in (
         node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else [])
-        if isinstance(target, ast.Name)}
+        for name in (target.elts if isinstance(target, ast.Tuple) else [target]) if isinstance(name, ast.Name)}
     fields |= {node.name for node in class_.body if isinstance(node, Function)}
     return fields | {node.attr for node in ast.walk(class_) if isinstance(node, ast.Attribute)
                      and isinstance(node.ctx, ast.Store) and getattr(node.value, "id", "") == "self"}
@@ -268,10 +268,11 @@ class Record(NamedTuple):
     \"\"\"Holds.
 
     Attributes:
-        x, y: one of them is gone.
+        x, y, z: one of them is gone.
     \"\"\"
 
     x: float
+    z, other = 1.0, None
 """
     assert [words for _, words in outdated_in(ast.parse(text))] == ["function: c", "Record: y"]
 
