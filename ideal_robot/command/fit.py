@@ -450,6 +450,9 @@ def variances(missed: Sequence[Array], stretches: Sequence[Stretch], j: int) -> 
     windows = np.array_split(np.arange(len(left)), count)
     squares = np.array([np.mean(left[w] ** 2) for w in windows])
     X = np.array([np.mean(parts[w], axis=0) for w in windows])
+    # A joint that a path leaves on one encoder increment is predicted without any error.
+    if not np.any(squares > 0.0):
+        return np.zeros(X.shape[1])
     size = np.maximum(np.mean(X, axis=0), 1e-300)
     # Squares scatter as they are large: each window counts by what it is about.
     weight = 1.0 / (squares + np.mean(squares))

@@ -14,8 +14,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
-from ideal_robot.command.fit import probabilities, tones
-from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Rival, Shape, _weights
+from ideal_robot.command.fit import Stretch, probabilities, tones, variances
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Rival, Shape, _weights, error_parts
 from ideal_robot.command.motion import Motion
 from ideal_robot.command.recorded import command_cycle, moving_at_start, update_instants
 from ideal_robot.command.words import beyond_cascade, described
@@ -461,3 +461,17 @@ def test_no_command_leaps_where_friction_turns_however_short_the_cycle(tmp_path:
         command, state = inverse.step(state, q_d[k : k + inverse.n_d])
         stepped.append(command)
     np.testing.assert_allclose(stepped, q_c[: len(stepped)], atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-5])
+def test_variances_are_as_large_as_the_squares_of_what_is_missed(size: float) -> None:
+    """Also where nothing is missed: a joint that a path leaves where it is ended the identification."""
+    t = np.arange(0.0, 4.0, 0.012)
+    motion = Motion.of(0.3 * np.sin(2.0 * t)[:, None], 0.012, np.array([0.01]))
+    rows = np.arange(len(t))
+    stretch = Stretch(motion, motion, (motion, motion), motion.q, motion.q, np.array([1e-5]), rows)
+    missed = size * np.random.default_rng(1).standard_normal(len(rows))
+    found = variances([missed], [stretch], 0)
+    assert found.shape == (PARTS,)
+    assert np.all(found >= 0.0)
+    assert np.mean(error_parts(motion)[:, :, 0] @ found) == pytest.approx(np.mean(missed**2), rel=0.05)
