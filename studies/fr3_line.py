@@ -19,8 +19,12 @@ import numpy as np
 import typer
 
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.signals.recording import Recording
 from scenes.commands.common import whole_numbers
 from scenes.line.cell import set_up
+from scenes.line.page import nearest, surface_corners
+from scenes.report.replay import Replay, shown_motion
+from scenes.report.video import check_video, write_video
 from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
 from studies.other_arms import write_fr3
@@ -57,13 +61,16 @@ rate = {rate}
 """As every line scene it plays in the workshop, with a camera mounted by hand and a surface that is not where it should
 be. The line is displaced by less than in `line`: an arm that lags by 0.1 s needs more of its acceleration for the way
 to a line that has just been seen."""
+_SLOW = 1.0
+"""How many times slower than the arm the film plays."""
 _STARTS = 120.0
 """Time within which a process is there, by this computer's clock [s]."""
 
 
 def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, rate: float = 25.0,
              folder: Annotated[Path, typer.Option(help="Where models, recordings and figures are kept.")
-                               ] = Path("out/fr3-line")) -> None:
+                               ] = Path("out/fr3-line"),
+             film: Annotated[Path | None, typer.Option(help="Film of the first run (.gif or .mp4).")] = None) -> None:
     """A line followed with an FR3 in franky-sim, seen by the rendered camera over ROS 2: distance of the tool from it.
 
     The arm is identified by three of the five commands. Then franky-sim publishes its joint states, ``simulate
@@ -77,7 +84,10 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
         slowed: how many times as long a second takes.
         rate: pictures a second [Hz].
         folder: where models, recordings and figures are kept.
+        film: of the first run; its name ends in ``.gif`` or ``.mp4``. None for none.
     """
+    if film is not None:
+        check_video(film)
     missing = [name for name in ("franky_sim", "pylibfranka", "rclpy") if find_spec(name) is None]
     if missing:
         raise InputError(f"not played: {', '.join(missing)} not installed; pip install "
@@ -99,6 +109,9 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
         means.setdefault(speed, []).append(error.get("mean") or np.nan)
         row(f"{speed:g}", str(seed), *(f"{error.get(key) or np.nan:.3f}" for key in ("mean", "p95", "max")),
             f"{figures['lost']} of {figures['cycles']}", str(figures["pictures_left_out"]), figures["failure"] or "")
+    if film is not None:
+        first = float(speeds.split(",")[0]), whole_numbers(seeds, "--seeds")[0]
+        write_video(_shown(folder, *first), film, slow=_SLOW)
     for speed, all_means in means.items():
         row(f"{speed:g}", "all", f"{np.mean(all_means):.3f}, at most {np.max(all_means):.3f}", "", "", "", "", "")
 
@@ -149,6 +162,18 @@ def _played(folder: Path, env: dict[str, str], scene: Path, own: Path, camera: P
     said = (own / "follow.txt").read_text(encoding="utf-8").strip().splitlines()
     return {**seen, "failure": follow.get("failure", said[-1] if said else "nothing was said"),
             "lost": link.get("lost"), "cycles": follow.get("cycles")}
+
+
+def _shown(folder: Path, speed: float, seed: int) -> Replay:
+    """What a film of a run shows: the arm as it reported where it was, and how far its tool was from the drawn line."""
+    scene = load_scene(folder / f"line_{seed}_{speed:g}.toml")
+    assert isinstance(scene, LineScene)
+    cell, recording = set_up(scene), Recording.read(folder / f"{seed}_{speed:g}" / "out" / "recording.parquet")
+    _, t, q, tool = shown_motion(scene.arm, recording)
+    s, lateral = cell.line.beside(tool)
+    error = np.where((s > 0.0) & (s < cell.line.length), 1e3 * np.abs(lateral), np.nan)
+    return Replay(scene.arm, t, q, tool, nearest(cell.geometry, tool), error, "distance from the line",
+                  curves={"drawn line": cell.geometry.drawn}, surface=surface_corners(cell.geometry))
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from scenes.online.log import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay, enlarged_alike, sensed_force, sensed_line, shown_motion
 from scenes.result import step
+from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.scene import box_edges
 from scenes.verdict import BAD, GOOD, Verdict
 from sensing.camera.line_polynomial import Polyline
@@ -44,25 +45,25 @@ def line_replay(result: LineResult) -> Replay | None:
     seen = sensed_line(robot, recording)
     if len(seen) > 1:
         curves["line as sensed"] = seen
-    return Replay(robot, t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
-                  curves=curves, surface=surface_corners(result), force=sensed_force(robot, recording, rows),
+    return Replay(robot, t, q, tool, nearest(result.geometry, tool), 1e3 * error, "distance from the line",
+                  curves=curves, surface=surface_corners(result.geometry), force=sensed_force(robot, recording, rows),
                   pictures=tuple((frame.t, _png(frame)) for frame in result.shown))
 
 
-def _nearest(result: LineResult, points: Array) -> Array:
+def nearest(geometry: Geometry, points: Array) -> Array:
     """The drawn line's points nearest to points ``(N, 3)`` [m], both in the surface."""
-    plane = result.geometry.plane
+    plane = geometry.plane
     up = plane.rotation[:, 2]
     # The height above the surface is no error of following.
     height = np.outer((points - plane.translation) @ up, up)
-    return np.asarray(Polyline(result.geometry.drawn).nearest(points - height, up).foot + height)
+    return np.asarray(Polyline(geometry.drawn).nearest(points - height, up).foot + height)
 
 
-def surface_corners(result: LineResult) -> Array:
+def surface_corners(geometry: Geometry) -> Array:
     """Corners ``(4, 3)`` [m] of the part of the surface that the line lies on."""
-    plane = result.geometry.plane
-    reference = (result.geometry.reference - plane.translation) @ plane.rotation
-    xy = np.vstack([result.geometry.drawn_xy, reference[:, :2]])
+    plane = geometry.plane
+    reference = (geometry.reference - plane.translation) @ plane.rotation
+    xy = np.vstack([geometry.drawn_xy, reference[:, :2]])
     (x0, y0), (x1, y1) = xy.min(axis=0) - _MARGIN, xy.max(axis=0) + _MARGIN
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
     return np.asarray(corners @ plane.rotation.T + plane.translation)
@@ -264,7 +265,7 @@ def _cell(result: LineResult) -> bytes:
     tool = np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])
     drawn = result.geometry.drawn[::10]  # every 5 mm, about two pixels
     image = picture(robot, q, lines=(drawn, tool, *box_edges(result.scene.box).values()),
-                    surface=surface_corners(result))
+                    surface=surface_corners(result.geometry))
     return bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1])
 
 
