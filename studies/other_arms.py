@@ -188,8 +188,8 @@ _TOLD_EVERY = 4
 """Milliseconds between two joint states."""
 _BEHIND = 0.5
 """How far the simulation may be behind its clock before that stands still with it [s]."""
-_PRIORITY = 45
-"""Real-time priority of the simulation: a controller has a computer of its own."""
+_PRIORITY = 60
+"""Real-time priority of the simulation, above that of whoever answers: a controller has a computer of its own."""
 
 
 @contextmanager
@@ -263,9 +263,11 @@ def answered_milliseconds(server: Any, tell: Tell = lambda k, robot: None,
         begun = time.perf_counter()
         # Without a motion nobody answers, and states go out as by the clock.
         within = ANSWER_WITHIN if robot.current_motion_id and heard() else 1e-3
+        # At least once, however long this process was kept from running: it says what the joints are controlled by.
+        robot.process_commands()
         while not answers and time.perf_counter() - begun < within:
-            robot.process_commands()
             time.sleep(5e-5)
+            robot.process_commands()
         server.sim.step()
         robot.send_state()
         tell(k, robot.robot)
