@@ -19,10 +19,10 @@ from ideal_robot.interfaces import LinkSettings
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkCounts, LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import ROUNDING
 
-QUEUE = 4e-3
-"""Time after which a command is played where a process of its own answers [s]: what a computer with other work takes
-for one."""
+_TAKES = 4e-3
+"""Time that a computer with other work takes for a command at most, but for a few [s]."""
 _HORIZON = 0.1
 """How far commands that are expected reach ahead [s]: longer than a computer usually stands still."""
 _LONGEST_QUEUE = 100.0
@@ -48,8 +48,9 @@ class FciRobot(LinkedRobot):
         robot: seven joints, limits, and a cycle of whole milliseconds.
         host: address of the controller.
         cartesian: whether the controller's Cartesian impedance holds the commanded joints, not its joint impedance.
-        queue: time after which a command is played [s], by a process of its own; 0: this process answers, so that the
-            controller waits for what it computes. Commands of a real arm then have to be computed in a millisecond.
+        queue: time after which a command is played [s], by a process of its own. If None it is 4 ms, or so many whole
+            cycles that they last as long: the law of the arm then has a dead time of cycles. 0: this process answers,
+            so that the controller waits for what it computes; a real one would have to be answered in a millisecond.
         bridge: how long states may be missing [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -59,13 +60,15 @@ class FciRobot(LinkedRobot):
 
     lost_link, packets = FciError, "states"
 
-    def __init__(self, robot: Robot, host: str, *, cartesian: bool = False, queue: float = QUEUE, bridge: float = 0.1,
-                 answers_within: float = 0.3) -> None:
+    def __init__(self, robot: Robot, host: str, *, cartesian: bool = False, queue: float | None = None,
+                 bridge: float = 0.1, answers_within: float = 0.3) -> None:
         steps = round(robot.t_ipo / PERIOD)
         if robot.n != AXES:
             raise InputError(f"FCI moves arms with {AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
         if steps < 1 or not math.isclose(steps * PERIOD, robot.t_ipo):
             raise InputError("FCI has a cycle of 1 ms; expected whole milliseconds", field="--cycle", value=robot.t_ipo)
+        if queue is None:
+            queue = math.ceil(_TAKES / robot.t_ipo - ROUNDING) * robot.t_ipo
         if queue < 0.0 or not math.isclose(round(queue / PERIOD) * PERIOD, queue):
             raise InputError("expected whole milliseconds", field="queue", value=queue)
         super().__init__(robot, bridge, answers_within)
@@ -148,11 +151,11 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> FciRobot:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
     address.knows("impedance", "queue")
+    queue = address.number("queue", -1.0, 0.0, _LONGEST_QUEUE) if "queue" in address.options else None
     impedance = address.options.get("impedance", "joint")
     if impedance not in ("joint", "cartesian"):
         raise InputError("expected joint or cartesian", field=f"{address.option} ?impedance", value=impedance[:40])
     if address.port is not None:
         raise InputError("the ports of FCI are fixed; give the host alone", field=address.option, value=address.port)
     return FciRobot(robot, address.at(0)[0], cartesian=impedance == "cartesian",
-                    queue=PERIOD * round(address.number("queue", QUEUE / PERIOD, 0.0, _LONGEST_QUEUE)),
-                    **settings.given())
+                    queue=None if queue is None else PERIOD * queue, **settings.given())

@@ -410,6 +410,9 @@ _EVEN, _EVENLY = 0.25, 0.8
 """… which is within this share of the cycle, this share of them."""
 
 
+_WAITED = 0.75
+"""Share of a cycle for which a packet may be late before a command goes out in its place; the rest is for its way. A
+controller whose own clock is late by more gets it too soon."""
 Packet = TypeVar("Packet")
 
 
@@ -472,7 +475,7 @@ class LinkedRobot(ABC):
         self._wire_speed = np.zeros(robot.n)
         self._told = np.zeros((2, robot.n))
         self._arrivals: deque[float] = deque(maxlen=_ARRIVALS)
-        self._stood_in, self._heard, self._heard_at = 0, 0, math.nan
+        self._stood_in, self._late_ones, self._heard, self._heard_at = 0, 0, 0, math.nan
         self._stood = np.full(robot.n, np.nan)
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
@@ -590,7 +593,7 @@ class LinkedRobot(ABC):
         """Until when the next packet is waited for before an expected command goes out in its place.
 
         A packet that is lost would leave the controller without a command for a cycle, in which it holds the arm. Where
-        packets come evenly this computer's clock shows it half a cycle later, which is in time.
+        packets come evenly this computer's clock shows it within the cycle, which is in time.
 
         Args:
             deadline: until when it is waited for at all.
@@ -599,7 +602,7 @@ class LinkedRobot(ABC):
         even = np.abs(intervals - self.t_ipo) < _EVEN * self.t_ipo
         if np.count_nonzero(even) < _EVENLY * (_ARRIVALS - 1) or not self.clocked or self._braked:
             return deadline
-        due = self._heard_at + (self._stood_in - self._heard + 1.5) * self.t_ipo
+        due = self._heard_at + (self._stood_in - self._heard + 1.0 + _WAITED) * self.t_ipo
         return Deadline(deadline.seconds, min(due, deadline.end))
 
     def _awaited(self, deadline: Deadline, read: Callable[[Deadline], Packet | None],
@@ -631,13 +634,15 @@ class LinkedRobot(ABC):
 
     def _came_late(self, since: int) -> None:
         """A packet has come so many cycles behind the last, when its answer had gone out already."""
-        # A controller's clock may have been held up: from now on it is expected by this one.
-        self._heard, self._heard_at = since, self.arrived
+        self._late_ones += 1
+        if self._late_ones > 1:
+            # It is the controller's clock that was held up: from now on the next is expected by this packet.
+            self._heard, self._heard_at = since, self.arrived
 
     def _came(self) -> None:
         """A packet has come that is to be answered."""
         self._arrivals.append(self.arrived)
-        self._stood_in, self._heard, self._heard_at = 0, 0, self.arrived
+        self._stood_in, self._late_ones, self._heard, self._heard_at = 0, 0, 0, self.arrived
 
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""
