@@ -61,8 +61,8 @@ rate = {rate}
 """As every line scene it plays in the workshop, with a camera mounted by hand and a surface that is not where it should
 be. The line is displaced by less than in `line`: an arm that lags by 0.1 s needs more of its acceleration for the way
 to a line that has just been seen."""
-_SLOW = 1.0
-"""How many times slower than the arm the film plays."""
+_SLOW, _BESIDE = 1.5, 0.3
+"""How many times slower than the arm the film plays, and what it shows before and behind the line [s]."""
 _STARTS = 120.0
 """Time within which a process is there, by this computer's clock [s]."""
 
@@ -70,7 +70,7 @@ _STARTS = 120.0
 def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, rate: float = 25.0,
              folder: Annotated[Path, typer.Option(help="Where models, recordings and figures are kept.")
                                ] = Path("out/fr3-line"),
-             film: Annotated[Path | None, typer.Option(help="Film of the first run (.gif or .mp4).")] = None) -> None:
+             film: Annotated[Path | None, typer.Option(help="Film of the first run, e.g. a .webp.")] = None) -> None:
     """A line followed with an FR3 in franky-sim, seen by the rendered camera over ROS 2: distance of the tool from it.
 
     The arm is identified by three of the five commands. Then franky-sim publishes its joint states, ``simulate
@@ -84,7 +84,7 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
         slowed: how many times as long a second takes.
         rate: pictures a second [Hz].
         folder: where models, recordings and figures are kept.
-        film: of the first run; its name ends in ``.gif`` or ``.mp4``. None for none.
+        film: of the first run; its name ends in ``.webp``, ``.gif`` or ``.mp4``. None for none.
     """
     if film is not None:
         check_video(film)
@@ -117,12 +117,12 @@ def fr3_line(seeds: str = "1-5", speeds: str = "0.25,0.5", slowed: float = 3.0, 
 
 
 def _identified(folder: Path) -> None:
-    """The model of the arm, from a motion that is planned for it, in true time."""
+    """The model of the arm, from a motion that is planned for it; milliseconds begin when those before are answered."""
     urdf = str(folder / "fr3.urdf")
     _command(folder, None, "plan-identification", "--robot", urdf, "--out", "plan")
-    with _process(folder, None, "fr3", "-m", "studies.other_arms", "fr3", HOST, "1", says="ready"):
-        _command(folder, None, "play", "plan/commands.csv", "--robot", urdf, "--arm", f"franka://{HOST}", "--cycle",
-                 str(CYCLE), "-o", "moved.parquet")
+    with _process(folder, None, "fr3", "-m", "studies.other_arms", "fr3", HOST, "0", says="ready"):
+        _command(folder, None, "play", "plan/commands.csv", "--robot", urdf, "--arm", f"franka://{HOST}?waits=1",
+                 "--cycle", str(CYCLE), "-o", "moved.parquet")
     _command(folder, None, "identify", "moved.parquet", "--robot", urdf, "--model", "model.json")
 
 
@@ -171,9 +171,15 @@ def _shown(folder: Path, speed: float, seed: int) -> Replay:
     cell, recording = set_up(scene), Recording.read(folder / f"{seed}_{speed:g}" / "out" / "recording.parquet")
     _, t, q, tool = shown_motion(scene.arm, recording)
     s, lateral = cell.line.beside(tool)
-    error = np.where((s > 0.0) & (s < cell.line.length), 1e3 * np.abs(lateral), np.nan)
-    return Replay(scene.arm, t, q, tool, nearest(cell.geometry, tool), error, "distance from the line",
-                  curves={"drawn line": cell.geometry.drawn}, surface=surface_corners(cell.geometry))
+    on = (s > 0.0) & (s < cell.line.length)
+    error = np.where(on, 1e3 * np.abs(lateral), np.nan)
+    # The last visit of the line: the camera was looked at before.
+    last = int(np.flatnonzero(on)[-1])
+    first = int(np.flatnonzero(~on[:last])[-1]) if not on[:last].all() else 0
+    shown = (t > t[first] - _BESIDE) & (t < t[last] + _BESIDE)
+    return Replay(scene.arm, t[shown], q[shown], tool[shown], nearest(cell.geometry, tool[shown]), error[shown],
+                  "distance from the line", curves={"drawn line": cell.geometry.drawn},
+                  surface=surface_corners(cell.geometry))
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0, start: Se
     urdf = write_fr3(folder)
     with _served("fr3", host, str(slowed), ",".join(map(repr, map(float, start))), states):
         # Who answers by itself is waited for; a process that answers meanwhile is not.
-        yield f"franka://{host}" + ("" if slowed else "?queue=0"), urdf
+        yield f"franka://{host}" + ("" if slowed else "?queue=0&waits=1"), urdf
 
 
 @contextmanager

@@ -48,9 +48,10 @@ class FciRobot(LinkedRobot):
         robot: seven joints, limits, and a cycle of whole milliseconds.
         host: address of the controller.
         cartesian: whether the controller's Cartesian impedance holds the commanded joints, not its joint impedance.
-        queue: time after which a command is played [s], by a process of its own. If None it is 4 ms, or so many whole
-            cycles that they last as long: the law of the arm then has a dead time of cycles. 0: this process answers,
-            so that the controller waits for what it computes; a real one would have to be answered in a millisecond.
+        queue: time after which a command is played [s]; None: 4 ms, or so many whole cycles that they last as long: the
+            law of the arm then has a dead time of cycles.
+        waits: whether the controller, a simulated one, waits for each answer: then this process gives them, between two
+            commands that it computes. Else a process of its own does.
         bridge: how long states may be missing [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -61,7 +62,7 @@ class FciRobot(LinkedRobot):
     lost_link, packets = FciError, "states"
 
     def __init__(self, robot: Robot, host: str, *, cartesian: bool = False, queue: float | None = None,
-                 bridge: float = 0.1, answers_within: float = 0.3) -> None:
+                 waits: bool = False, bridge: float = 0.1, answers_within: float = 0.3) -> None:
         steps = round(robot.t_ipo / PERIOD)
         if robot.n != AXES:
             raise InputError(f"FCI moves arms with {AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
@@ -74,7 +75,7 @@ class FciRobot(LinkedRobot):
         super().__init__(robot, bridge, answers_within)
         self.counts = FciCounts()
         self.horizon = max(math.ceil(_HORIZON / robot.t_ipo), 2)
-        self.host, self._queue = host, round(queue / PERIOD)
+        self.host, self._queue, self._waits = host, round(queue / PERIOD), waits
         self._wanted_of = Wanted(host, cartesian, 0.0, steps, self._queue, 2.0 * self._room,
                                  np.where(np.isfinite(robot.v_max), robot.v_max, 1.0))
         self._arm: Here | Process | None = None
@@ -89,7 +90,7 @@ class FciRobot(LinkedRobot):
         Raises:
             FciError: no controller within ``patience`` [s], or an arm that cannot be led now.
         """
-        self._arm = (Process if self._queue else Here)(self._wanted_of._replace(patience=patience))
+        self._arm = (Here if self._waits else Process)(self._wanted_of._replace(patience=patience))
         self._cycle, self._late, self._begun = 0, 0, False
         state = self._arm.rest
         self._first, self.arrived = state.tick, time.perf_counter()
@@ -143,14 +144,14 @@ class FciRobot(LinkedRobot):
 
 
 def opened(address: Address, robot: Robot, settings: LinkSettings) -> FciRobot:
-    """The link to the controller at ``franka://host?impedance=cartesian&queue=4``, not connected; raises InputError.
+    """The link to the controller at ``franka://host?queue=4&waits=0``, not yet connected; raises InputError.
 
     ``queue`` is in milliseconds.
 
     Args:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
-    address.knows("impedance", "queue")
+    address.knows("impedance", "queue", "waits")
     queue = address.number("queue", -1.0, 0.0, _LONGEST_QUEUE) if "queue" in address.options else None
     impedance = address.options.get("impedance", "joint")
     if impedance not in ("joint", "cartesian"):
@@ -158,4 +159,5 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> FciRobot:
     if address.port is not None:
         raise InputError("the ports of FCI are fixed; give the host alone", field=address.option, value=address.port)
     return FciRobot(robot, address.at(0)[0], cartesian=impedance == "cartesian",
-                    queue=None if queue is None else PERIOD * queue, **settings.given())
+                    queue=None if queue is None else PERIOD * queue,
+                    waits=bool(address.number("waits", 0, 0, 1)), **settings.given())

@@ -211,7 +211,7 @@ class Ros2Robot(LinkedRobot):
 
 
 def opened(address: Address, robot: Robot, settings: LinkSettings) -> Ros2Robot:
-    """The link to an arm at ``ros2://namespace?states=…&commands=…``, not yet connected; raises InputError.
+    """The link to an arm at ``ros2://namespace?states=…&commands=…&waits=1``, not yet connected; raises InputError.
 
     Args:
         address, robot, settings: see ``ideal_robot.interfaces``.
@@ -226,5 +226,6 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> Ros2Robot:
         full_name(namespace, options.get("trajectory") or options.get("commands") or COMMANDS),
         trajectory="trajectory" in options, joints=tuple(filter(None, options.get("joints", "").split(","))),
         **discovered(address), **settings.given())
-    link.clocked = not address.number("waits", 0, 0, 1)
+    # Publishers that no real-time kernel runs are late more often than joint states are lost.
+    link.clocked = not address.number("waits", 1, 0, 1)
     return link

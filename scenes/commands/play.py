@@ -65,7 +65,7 @@ class RunOptions(PlayedScene):
     tolerance: Annotated[str | None, typer.Option(help="Of a line: play at the fastest speed at which 95 % of the way "
                                                        "lie within this, e.g. 0.2mm.")] = None
     method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none or ideal.")] = None
-    video: Annotated[Path | None, typer.Option(help="Write a film of the run to this file (.mp4 or .gif).")] = None
+    video: Annotated[Path | None, typer.Option(help="Write a film of the run here (.mp4, .gif or .webp).")] = None
     json: JsonFigures = None
     out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,9 +17,11 @@ from ideal_robot.whole_file import OutputError, whole_file
 from scenes.report.replay import Replay, error_colours
 from sim.arm.body import Picture, Stage, View
 
-ENDINGS = (".mp4", ".gif")
+ENDINGS = (".mp4", ".gif", ".webp")
 _ARM, _SIDE, _PLOT = (560, 420), 340, 120
 """Size of the arm's picture, width of the path's panel, height of the plot [px]."""
+_OF_PAGES: dict[str, dict[str, Any]] = {"gif": {"optimize": True}, "webp": {"quality": 60, "method": 6}}
+"""Films that can stand in a page, and how they are packed."""
 _INK, _ACCENT, _PAPER = (28, 36, 48), (224, 106, 0), (244, 246, 248)  # red, green, blue
 
 
@@ -26,7 +29,7 @@ def check_video(path: Path) -> None:
     """Refuses a name whose ending says no film, before any work is done.
 
     Raises:
-        InputError: another ending than ``.mp4`` and ``.gif``.
+        InputError: another ending than those of ``ENDINGS``.
     """
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"expected a name ending in {' or '.join(ENDINGS)}", field="--video", value=str(path))
@@ -38,7 +41,7 @@ def write_video(replay: Replay, path: Path, *, rate: float = 12.0, slow: float =
 
     Args:
         replay: what it shows.
-        path: ending in ``.mp4`` or ``.gif``.
+        path: ending in ``.mp4``, ``.gif`` or ``.webp``.
         rate: pictures a second of the film [1/s].
         slow: how many times slower than the run it plays.
         progress: called with the fraction done.
@@ -50,19 +53,21 @@ def write_video(replay: Replay, path: Path, *, rate: float = 12.0, slow: float =
     """
     check_video(path)
     with whole_file(path) as partial:
-        if path.suffix.lower() == ".gif":
-            pictures = [_small(frame) for frame in frames(replay, rate * slow, progress)]
-            pictures[0].save(partial, save_all=True, append_images=pictures[1:], duration=round(1000.0 / rate), loop=0,
-                             optimize=True)
+        kind = path.suffix.lower()[1:]
+        if kind in _OF_PAGES:
+            pictures = [_small(frame, kind == "gif") for frame in frames(replay, rate * slow, progress)]
+            pictures[0].save(partial, format=kind, save_all=True, append_images=pictures[1:],
+                             duration=round(1000.0 / rate), loop=0, **_OF_PAGES[kind])
         else:
             _mp4(replay, partial, rate, slow, progress)
     return path
 
 
-def _small(frame: Picture) -> Image.Image:
-    """A picture of a GIF: three quarters of the size and few colours, so that it can stand in a page."""
+def _small(frame: Picture, palette: bool) -> Image.Image:
+    """A picture that can stand in a page: three quarters of the size, and few colours where it has a palette."""
     image = Image.fromarray(frame)
-    return image.resize((3 * image.width // 4, 3 * image.height // 4), Image.Resampling.LANCZOS).quantize(64)
+    small = image.resize((3 * image.width // 4, 3 * image.height // 4), Image.Resampling.LANCZOS)
+    return small.quantize(64) if palette else small
 
 
 def _mp4(replay: Replay, path: Path, rate: float, slow: float, progress: Progress) -> None:

@@ -87,7 +87,7 @@ class Controller:
 def led(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     def leads(controller: Controller, cycle: float = 1e-3) -> FciRobot:
         monkeypatch.setitem(sys.modules, "pylibfranka", controller)
-        link = FciRobot(arm(tmp_path, cycle), "here", queue=0.0)
+        link = FciRobot(arm(tmp_path, cycle), "here", queue=0.0, waits=True)
         link.connect(0.1)
         return link
     return leads
@@ -262,7 +262,7 @@ def test_an_arm_that_cannot_be_led_now(led, mode: str, says: str) -> None:
 
 def test_nobody_there_and_an_arm_that_does_not_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "pylibfranka", Controller())
-    led_by_nobody = FciRobot(arm(tmp_path), "nobody", queue=0.0)
+    led_by_nobody = FciRobot(arm(tmp_path), "nobody", waits=True)
     with pytest.raises(FciError, match="activated in Desk"):
         led_by_nobody.connect(0.1)
     with pytest.raises(InputError, match="7 joints"):

@@ -359,7 +359,7 @@ def test_a_paths_replay_shows_the_errors_of_its_table() -> None:
 def test_a_film_of_another_format_is_refused_before_the_run(program, tmp_path: Path) -> None:
     done = program("run", "line", "--out", "o", "--video", "x.avi")
     assert done.code == 2
-    assert ".mp4 or .gif" in done.err
+    assert ".mp4 or .gif or .webp" in done.err
     assert not (tmp_path / "o").exists()
 
 
@@ -404,11 +404,11 @@ def test_the_arm_moves_and_the_trace_grows() -> None:
     assert np.abs(shown[0][:400, :500].astype(int) - shown[2][:400, :500]).mean() > 1.0
 
 
-@pytest.mark.parametrize("ending", [".gif", ".mp4"])
+@pytest.mark.parametrize("ending", [".gif", ".webp", ".mp4"])
 def test_a_film_can_be_played(ending: str, tmp_path: Path) -> None:
     short = dataclasses.replace(_replay(60), t=np.linspace(0.0, 0.5, 60))
     path = write_video(short, tmp_path / f"run{ending}", rate=10.0, slow=1.0)
-    if ending == ".gif":
+    if ending != ".mp4":
         with Image.open(path) as film:
             assert film.n_frames == 5
     else:
@@ -419,5 +419,5 @@ def test_a_film_can_be_played(ending: str, tmp_path: Path) -> None:
 
 
 def test_another_ending_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
+    with pytest.raises(InputError, match=r"\.mp4 or \.gif or \.webp"):
         write_video(_replay(50), tmp_path / "run.avi")
