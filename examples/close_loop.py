@@ -2,7 +2,7 @@
 
 from scenes import close_scene, load_scene
 
-# The arm of this scene has a gear in joint 2 with 40 % of the stiffness that its model has.
+# Takes a minute or two. The arm of this scene has a gear in joint 2 with 40 % of the stiffness that its model has.
 scene = load_scene("close_elastic")
 closing = close_scene(scene, measured="tcp")
 print(closing)
