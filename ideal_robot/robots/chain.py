@@ -237,7 +237,7 @@ def _following(tree: _Tree, chain: list[ET.Element]) -> list[str]:
             raise InputError("follows no joint of the URDF, or itself", field=f"{name}.mimic.joint",
                              value=None if mimic is None else str(mimic.get("joint"))[:40])
         root, ratio, offset = followed
-        if mimic is not None and (ratio == 0.0 or _of_gripper(root)):
+        if mimic is not None and (ratio == 0.0 or root.get("type") == "fixed" or _of_gripper(root)):
             changed.append(f"joint {name} is held: it follows {root.get('name')}, which does not move it")
             _hold(joint, offset)
             continue

@@ -178,6 +178,13 @@ def test_what_comes_before_the_joint_that_it_follows_leads_it(tmp_path: Path) ->
     assert any("joint_2 moves on its own" in note for note in robot.assumed)
 
 
+@pytest.mark.parametrize("mimic", ['joint="flange"', 'joint="joint_2" multiplier="0" offset="0.1"'])
+def test_what_follows_nothing_that_moves_is_held(mimic: str, tmp_path: Path) -> None:
+    robot = Robot.load(written(tmp_path, with_mimic(urdf(6, mass=2.0), "joint_3", mimic)))
+    assert (robot.n, robot.following) == (5, ())
+    assert any("joint_3 is held" in note for note in robot.assumed)
+
+
 def test_what_follows_a_joint_beside_the_chain_moves_on_its_own(tmp_path: Path) -> None:
     # The motor's crank stands beside the chain, which two joints of it follow.
     text = with_mimic(with_mimic(urdf(6, mass=2.0), "joint_2", 'joint="crank" multiplier="0.5"'), "joint_3",
