@@ -53,7 +53,7 @@ class RsiRun(PathRun):
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """What a person wants first."""
         link = self.counts
-        rows: list[list[Any]] = [["cycles answered", f"{len(self.recording.t)} of {self.rows}"],
+        rows: list[list[Any]] = [["cycles answered", f"{self.answered} of {self.rows}"],
                                  ["time stamps", self.stamps],
                                  ["packets lost", link["lost"]], ["repeated", link["repeated"]],
                                  ["refused", link["refused"]], ["optional elements ignored", link["ignored"]],

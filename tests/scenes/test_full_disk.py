@@ -111,7 +111,7 @@ def _recording(rows: int = 3000) -> Recording:
 def _served(*_: object, **__: object) -> Any:
     """A server of packets whose path has been played."""
     counts = dict.fromkeys(("lost", "repeated", "refused", "ignored", "late"), 0)
-    run = RsiRun(_recording(), None, counts, {"median": 1.0, "max": 1.0}, [], 0, 3000, stamps="even")
+    run = RsiRun(_recording(), None, counts, {"median": 1.0, "max": 1.0}, [], 0, 3000, 3000, stamps="even")
     link = SimpleNamespace(axes=SimpleNamespace(known=True), address=("127.0.0.1", 1), counts=SimpleNamespace(cycles=0))
     return nullcontext(SimpleNamespace(link=link, warnings=(), stop=lambda: None, play=lambda **_: run))
 
