@@ -30,7 +30,7 @@ from ideal_robot.model.model_file import urdf_with_inertials
 from ideal_robot.model.parametrisation import coefficient_columns, friction_places, parameter_vector
 from ideal_robot.robots.joints import joint_motions, mass_matrix, own_joints, without_followers
 from ideal_robot.robots.robot import Robot, spread_postures
-from ideal_robot.robots.urdf import without_meshes
+from ideal_robot.robots.urdf import LEAST, without_meshes
 from ideal_robot.tolerances import WRITTEN
 from ideal_robot.whole_file import write_text
 
@@ -169,10 +169,21 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
 def _spec(library: Any, like: str | Path | None, model: Model) -> tuple[Any, Any]:
     """The editable description and its compiled model."""
     if like is None:
-        spec = library.MjSpec.from_string(without_meshes(model.arm.urdf))
+        spec, compiled = _read_urdf(library, model.arm.urdf)
         spec.option.integrator = library.mjtIntegrator.mjINT_IMPLICITFAST
-        return spec, spec.compile()
+        return spec, compiled
     return _read(library, like)
+
+
+def _read_urdf(library: Any, text: str) -> tuple[Any, Any]:
+    """A URDF's description and its compiled model, without its meshes; links may be without a mass in it."""
+    spec = library.MjSpec.from_string(without_meshes(text))
+    given = spec.compiler.boundmass, spec.compiler.boundinertia
+    # MuJoCo refuses moving bodies without inertia, which get the identified one after this.
+    spec.compiler.boundmass, spec.compiler.boundinertia = LEAST, LEAST
+    compiled = spec.compile()
+    spec.compiler.boundmass, spec.compiler.boundinertia = given
+    return spec, compiled
 
 
 def _read(library: Any, path: str | Path) -> tuple[Any, Any]:
@@ -180,8 +191,7 @@ def _read(library: Any, path: str | Path) -> tuple[Any, Any]:
     text = read_text(Path(path), "an MJCF or URDF")
     try:
         if "<robot" in text:
-            spec = library.MjSpec.from_string(without_meshes(text))
-            return spec, spec.compile()
+            return _read_urdf(library, text)
         spec = library.MjSpec.from_file(str(path))
         try:
             return spec, spec.compile()
@@ -552,13 +562,15 @@ def arm_of_mjcf(path: str | Path) -> MujocoArm:
     library = mujoco()
     _, compiled = _read(library, path)
     chain = _chain(library, compiled, path)
-    text = _urdf(library, compiled, chain, Path(path).stem)
+    mimics = _mimics(library, compiled, chain)
+    text = _urdf(library, compiled, chain, mimics, Path(path).stem)
     with TemporaryDirectory() as folder:
         urdf = Path(folder) / f"{Path(path).stem}.urdf"
         urdf.write_text(text, encoding="utf-8")
         robot = Robot.load(urdf)
         nominal = Model.nominal(robot)
-    dofs = [int(compiled.jnt_dofadr[j]) for j in chain]
+    own = [joint for joint in chain if joint not in mimics]
+    dofs = [int(compiled.jnt_dofadr[j]) for j in own]
     damping = np.array(compiled.dof_damping).reshape(compiled.nv, -1)[dofs, 0]
     loss, armature = compiled.dof_frictionloss[dofs], compiled.dof_armature[dofs]
     full = np.concatenate([link_parameters(robot.pinocchio), armature, np.zeros(robot.n)])
@@ -569,9 +581,11 @@ def arm_of_mjcf(path: str | Path) -> MujocoArm:
     covariance = np.diag((WRITTEN * (1.0 + np.abs(parameter_vector(values, friction)))) ** 2)
     model = Model(nominal.arm, base, values, friction, covariance, full, np.zeros(robot.n),
                   provenance={"method": "MuJoCo model", "file": str(path)})
-    springs = [j + 1 for j, joint in enumerate(chain) if np.any(np.atleast_1d(compiled.jnt_stiffness[joint]) != 0.0)]
+    springs = [j + 1 for j, joint in enumerate(own) if np.any(np.atleast_1d(compiled.jnt_stiffness[joint]) != 0.0)]
     held = [compiled.joint(j).name or str(j) for j in range(compiled.njnt) if j not in chain]
+    resisting = [compiled.joint(j).name or str(j) for j in mimics if _resists(compiled, j)]
     left_out = [*([f"springs of joint {', '.join(map(str, springs))}"] if springs else []),
+                *([f"friction, springs and armature of {', '.join(resisting)}, which follow"] if resisting else []),
                 *([f"motion of {', '.join(held)}"] if held else [])]
     return MujocoArm(robot, model, tuple(left_out))
 
@@ -596,7 +610,34 @@ def _chain(library: Any, compiled: Any, path: str | Path) -> list[int]:
     return best
 
 
-def _urdf(library: Any, compiled: Any, chain: list[int], name: str) -> str:
+def _mimics(library: Any, compiled: Any, chain: list[int]) -> dict[int, dict[str, str]]:
+    """Joints of the chain that equality constraints lead by others of it, in proportion: their ``mimic`` of a URDF."""
+    found = {}
+    for k in range(compiled.neq):
+        follower, leader = int(compiled.eq_obj1id[k]), int(compiled.eq_obj2id[k])
+        offset, ratio, *bent = compiled.eq_data[k][:5]
+        if (compiled.eq_type[k] == library.mjtEq.mjEQ_JOINT and compiled.eq_active0[k]
+                and {follower, leader} <= set(chain) and not np.any(bent)):
+            # MuJoCo counts from where the joints stand in the description.
+            zeros = compiled.qpos0[[compiled.jnt_qposadr[follower], compiled.jnt_qposadr[leader]]]
+            found[follower] = {"joint": _name(compiled, chain, leader), "multiplier": f"{ratio:.12g}",
+                               "offset": f"{offset + zeros[0] - ratio * zeros[1]:.12g}"}
+    return found
+
+
+def _resists(compiled: Any, joint: int) -> bool:
+    """Whether a joint has armature, friction, damping or a spring of its own."""
+    dof = int(compiled.jnt_dofadr[joint])
+    return any(np.any(np.atleast_1d(values) != 0.0) for values in (
+        compiled.dof_armature[dof], compiled.dof_frictionloss[dof], compiled.dof_damping.reshape(compiled.nv, -1)[dof],
+        compiled.jnt_stiffness[joint]))
+
+
+def _name(compiled: Any, chain: list[int], joint: int) -> str:
+    return str(compiled.joint(joint).name or f"joint_{chain.index(joint) + 1}")
+
+
+def _urdf(library: Any, compiled: Any, chain: list[int], mimics: dict[int, dict[str, str]], name: str) -> str:
     """The chain as a URDF: frames in the joints, each with the inertia of all bodies that move with it."""
     data = library.MjData(compiled)
     for joint in chain:
@@ -619,8 +660,9 @@ def _urdf(library: Any, compiled: Any, chain: list[int], name: str) -> str:
         link = ET.SubElement(root, "link", {"name": f"link_{index + 1}"})
         link.append(_inertial(compiled, data, bodies[index], frame))
         kind = "revolute" if compiled.jnt_type[joint] == library.mjtJoint.mjJNT_HINGE else "prismatic"
-        element = ET.SubElement(root, "joint", {"name": compiled.joint(joint).name or f"joint_{index + 1}",
-                                                "type": kind})
+        element = ET.SubElement(root, "joint", {"name": _name(compiled, chain, joint), "type": kind})
+        if joint in mimics:
+            ET.SubElement(element, "mimic", mimics[joint])
         ET.SubElement(element, "parent", {"link": parent})
         ET.SubElement(element, "child", {"link": f"link_{index + 1}"})
         ET.SubElement(element, "origin", _placed(before.inverse() * frame))

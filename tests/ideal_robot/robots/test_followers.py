@@ -19,7 +19,7 @@ from ideal_robot.dynamics.newton_euler import mass_matrix as compiled_mass_matri
 from ideal_robot.dynamics.regressor import link_parameters, regressor
 from ideal_robot.errors import InputError
 from ideal_robot.identification.weighted_least_squares import prior_of
-from ideal_robot.model.mjcf import export_mjcf
+from ideal_robot.model.mjcf import arm_of_mjcf, export_mjcf
 from ideal_robot.model.model import Model
 from ideal_robot.robots.joints import joint_motions, mass_matrix, own_joints, without_followers
 from ideal_robot.robots.robot import Robot
@@ -243,3 +243,21 @@ def test_an_exported_mjcf_has_its_joints_follow(tmp_path: Path) -> None:
         mass_matrix(model.dynamics, model.dynamics.createData(), q),
         -pin.computeGeneralizedGravity(model.dynamics, model.dynamics.createData(), q))
     np.testing.assert_allclose(data.qacc[own], acceleration, rtol=0.05, atol=0.5)
+    again = arm_of_mjcf(tmp_path / "arm.xml")
+    assert again.robot.joint_names == robot.joint_names
+    assert again.robot.following == robot.following
+    assert not [text for text in again.left_out if "motion" in text or "follow" in text]
+    q, qd, qdd = np.random.default_rng(3).uniform(-0.5, 0.5, (3, 20, robot.n))
+    np.testing.assert_allclose(again.model.rigid_body(q, qd, qdd), model.rigid_body(q, qd, qdd), rtol=1e-4, atol=1e-3)
+
+
+def test_massless_links_between_joints_are_written_to_an_mjcf(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    massless = PALLETIZER.replace('mass value="3.0"/><inertia ixx="0.06" iyy="0.06" izz="0.06"',
+                                  'mass value="0"/><inertia ixx="0" iyy="0" izz="0"')
+    assert massless != PALLETIZER
+    robot = of_its_size(Robot.load(written(tmp_path, massless)))
+    (tmp_path / "bare.urdf").write_text(massless)
+    model = Model.nominal(robot)
+    export_mjcf(model, tmp_path / "arm.xml", like=tmp_path / "bare.urdf")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml")).nv == 6
