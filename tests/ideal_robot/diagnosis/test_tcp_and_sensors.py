@@ -93,6 +93,7 @@ def test_a_wrong_length_and_what_is_the_same():
     assert first.rms_after < 0.5 * first.rms_before
 
 
+@pytest.mark.slow
 def test_a_late_device_and_a_good_one():
     t, q, _ = motion()
     late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(ROBOT.pinocchio, q).T])
@@ -136,7 +137,8 @@ def test_force_effects_have_their_size(seed, name, begun, tmp_path):
         assert abs(value - true) < 3.0 * std
 
 
-@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 5])
 def test_a_good_force_sensor_is_left_alone(seed, tmp_path):
     diagnosis, _ = trial(seed, "none", tmp_path)
     assert not diagnosis.effects

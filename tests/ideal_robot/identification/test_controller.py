@@ -162,6 +162,7 @@ def test_finds_the_cascade_behind_encoder_steps_and_current_noise(joint):
     assert k_p / k_i == pytest.approx(true["integral_time"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_friction_that_the_drive_compensates_is_found_beside_the_cascade() -> None:
     """Half of the dry friction, in the direction of the command; a drive that does not has none."""
     world = World.default("kr15")
@@ -237,6 +238,7 @@ def test_inverse_dynamics_is_found_with_what_its_bodies_are_too_heavy_by() -> No
     assert np.all(fit.error_percent < 5.0)
 
 
+@pytest.mark.slow
 def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
     """A cascade of the module's own equation before a sine: present torques, and means since the last sample."""
     t, cycle, every = 0.002 * np.arange(6000), 0.002, 4

@@ -238,6 +238,7 @@ def test_a_twin_plays_the_recorded_torque(made: TwinResult) -> None:
     np.testing.assert_allclose(made.left[1], made.left[0], rtol=0.3)
 
 
+@pytest.mark.slow
 def test_of_an_axis_that_slides_forces_are_in_newtons(made: TwinResult, tmp_path: Path) -> None:
     page = identification_page(made.analysis).write(tmp_path / "page.html").read_text(encoding="utf-8")
     assert "k_P [N/m]" in page
