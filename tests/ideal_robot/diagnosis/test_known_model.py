@@ -69,7 +69,8 @@ def test_a_spring_is_named_where_the_motion_shows_it_and_parameters_keep_near_to
     assert seen.effects[0].fitted.coefficients[0] == pytest.approx(6.0, rel=0.05)
 
 
-@pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.slow), "integrator"])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
 def test_a_healthy_recording_against_the_model_of_another_one_in_strangers_physics(engine, tmp_path):
     four = an_arm(seed=5, n=4)
     plant = dataclasses.replace(a_plant(four, kind=TANH if engine == "integrator" else BRISTLE))
@@ -112,6 +113,7 @@ def test_a_healthy_recording_of_our_world_against_the_model_of_another_one(bare)
     assert diagnosis.verdict == ("effects" if effects else "none")
 
 
+@pytest.mark.slow
 def test_where_their_delay_is_named_a_model_made_of_late_torques_is_that_of_punctual_ones(tmp_path):
     two = an_arm(seed=5, n=4)
     plant, rng = a_plant(two, kind=TANH), np.random.default_rng(8)

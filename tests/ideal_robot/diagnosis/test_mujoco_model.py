@@ -62,7 +62,8 @@ def recorded(hidden: Callable[[Any], None] | None, seconds: float = 16.0) -> Rec
 
 
 @pytest.mark.parametrize(("hidden", "named", "true"), [
-    (None, [], 0.0), (payload, [("payload", 0)], 0.8), (friction, [("coulomb", 2)], 1.5),
+    (None, [], 0.0), (payload, [("payload", 0)], 0.8),
+    pytest.param(friction, [("coulomb", 2)], 1.5, marks=pytest.mark.slow),
     pytest.param(spring, [("cable_spring", 3)], 8.0, marks=pytest.mark.slow)])
 def test_what_is_hidden_in_a_mujoco_model_is_named_and_nothing_is_missing_in_its_own_recording(
         hidden: Callable[[Any], None] | None, named: list[tuple[str, int]], true: float, tmp_path: Path) -> None:

@@ -106,6 +106,7 @@ def test_a_late_device_and_a_good_one():
     np.testing.assert_allclose(floors, NOISE, rtol=0.2)
 
 
+@pytest.mark.slow
 def test_the_tool_is_not_early_beside_arm_angles_that_are_late():
     t, q, _ = motion()
     late = {f"qa_{j + 1}": np.interp(t - 4e-4, t, x) for j, x in enumerate(q.T)}
