@@ -53,9 +53,9 @@ TOOLS = (0.0, 0.1)
 """Lengths of tools that are tried, relative to the reach: a short wrist needs one to keep off the surface …"""
 LONG_TOOLS = (0.25,)
 """… and a longer one where none of them does, of an arm whose flange lies above the end of its forearm."""
-TURNS = (0.0, 180.0, 90.0, -90.0)
+TURNS = (0.0, 180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0)
 """How tool and camera are mounted on the flange, about the approach axis: a wrist of less than a turn cannot point a
-flange's own x axis along every travel [deg]."""
+flange's own x axis along every travel [deg]; in steps of an eighth a wrist of a quarter turn can."""
 FROM_LIMIT = 0.05
 """Distance from the joint limits on the whole corridor [rad or m]."""
 
