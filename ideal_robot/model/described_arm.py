@@ -51,8 +51,8 @@ class DescribedArm:
         places = list(zip(list(mine)[1:], list(own)[1:], strict=False))
         elsewhere = [j for j, (one, other) in enumerate(places, start=1)
                      if not np.allclose(one.homogeneous, other.homogeneous, atol=_SAME_PLACE)]
-        if len(mine) != len(own) or joint_motions(self.kinematics).angles(np.ones(robot.n)).tolist() != joint_motions(
-                robot.pinocchio).angles(np.ones(robot.n)).tolist():
+        motions = zip(joint_motions(self.kinematics), joint_motions(robot.pinocchio), strict=True)
+        if len(mine) != len(own) or not all(np.allclose(one, other) for one, other in motions):
             return f"joints of the model of {self.name} follow others than those of {robot.name}"
         return (f"joint {elsewhere[0]} of the model of {self.name} sits elsewhere than that of {robot.name}"
                 if elsewhere else "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -106,10 +107,7 @@ class _Tree:
 
     def _measure(self) -> bool:
         """Moving joints on the longest way from each link outwards; whether every link is reached."""
-        order, index = [self.root], 0
-        while index < len(order):
-            order.extend(self.children.get(order[index], ()))
-            index += 1
+        order = self._behind(self.root)
         for link in reversed(order):
             self._depth[link] = max((self._own(child) + self._depth[child] for child in self.children.get(link, ())),
                                     default=0)
@@ -168,11 +166,11 @@ class _Tree:
                 best, most = end, rank
         return best
 
-    def _behind(self, link: str) -> list[str]:
-        """A link and all those that it carries."""
+    def _behind(self, link: str, carries: Callable[[ET.Element], bool] = lambda joint: True) -> list[str]:
+        """A link and all those that it carries by joints of a kind, the nearest first."""
         links, index = [link], 0
         while index < len(links):
-            links.extend(self.children.get(links[index], ()))
+            links.extend(child for child in self.children.get(links[index], ()) if carries(self.joints[child]))
             index += 1
         return links
 
@@ -186,12 +184,7 @@ class _Tree:
 
     def fixed_beyond(self, link: str) -> list[str]:
         """The link and those that are rigidly fixed to it, the nearest first."""
-        links, index = [link], 0
-        while index < len(links):
-            links.extend(child for child in self.children.get(links[index], ())
-                         if self.joints[child].get("type") == "fixed")
-            index += 1
-        return links
+        return self._behind(link, lambda joint: joint.get("type") == "fixed")
 
 
 class _Followed(NamedTuple):

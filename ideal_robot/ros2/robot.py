@@ -106,8 +106,7 @@ class Ros2Robot(LinkedRobot):
         assert self._joint_states is not None
         if not (waiting := self._joint_states.waiting()):
             return None
-        message, self.arrived = waiting[-1]
-        return self._joint_states.positions(message)
+        return self._joint_states.positions(self._taken(waiting)[-1])
 
     def _handed_over(self, q_c: Array) -> None:
         if self.trajectory:
@@ -153,18 +152,18 @@ class Ros2Robot(LinkedRobot):
     def _next(self, timeout: float) -> list[Any]:
         """Joint states that have come, the newest last; raises Ros2Error where none comes in time [s]."""
         assert self._joint_states is not None
-        messages, arrived = zip(*self._joint_states.next(timeout), strict=True)
-        self.arrived = arrived[-1]
-        return list(messages)
+        return self._taken(self._joint_states.next(timeout))
 
     def _read(self, deadline: Deadline) -> list[Any] | None:
         """Joint states that are there; None where none comes by the deadline."""
         assert self._joint_states is not None
-        if not (taken := self._joint_states.waiting(deadline.left)):
-            return None
-        messages, arrived = zip(*taken, strict=True)
-        self.arrived = arrived[-1]
-        return list(messages)
+        waiting = self._joint_states.waiting(deadline.left)
+        return self._taken(waiting) if waiting else None
+
+    def _taken(self, messages: list[tuple[Any, float]]) -> list[Any]:
+        """Messages without the times at which they were read; notes that of the newest, which is the last."""
+        self.arrived = messages[-1][1]
+        return [message for message, _ in messages]
 
     @staticmethod
     def _stamp(message: Any) -> float:

@@ -124,17 +124,23 @@ class Wire:
         return
 
 
-@pytest.mark.parametrize("late", [{}, {100: 0.7 * T}, {100: 1.6 * T, 101: 1.1 * T},
-                                  dict.fromkeys(range(100, 400), 0.8 * T)])
-def test_a_status_that_does_not_come_in_time_is_answered_by_the_command_expected_for_it(
-        robot: Robot, monkeypatch: pytest.MonkeyPatch, late: dict[int, float]) -> None:
-    wire = Wire({70, 85, 86}, late)
+def led_over(wire: Wire, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> StreamMotionRobot:
+    """A link that is led over a wire, by the wire's clock, its arm at rest."""
     monkeypatch.setattr("ideal_robot.stream_motion.robot.read_waiting", wire.read)
     monkeypatch.setattr("time.perf_counter", lambda: wire.now)
     link = StreamMotionRobot(robot, "here")
     link._socket, link._core, link._decoded = wire, wire, lambda packet: packet  # type: ignore[assignment]
     link._number = link._begun = 0
     link._at_rest(HOME, HOME)
+    return link
+
+
+@pytest.mark.parametrize("late", [{}, {100: 0.7 * T}, {100: 1.6 * T, 101: 1.1 * T},
+                                  dict.fromkeys(range(100, 400), 0.8 * T)])
+def test_a_status_that_does_not_come_in_time_is_answered_by_the_command_expected_for_it(
+        robot: Robot, monkeypatch: pytest.MonkeyPatch, late: dict[int, float]) -> None:
+    wire = Wire({70, 85, 86}, late)
+    link = led_over(wire, robot, monkeypatch)
     k = 0
     while k < 160:
         link.cycle(way(max(k - 50, 0), 100))
@@ -157,12 +163,7 @@ def test_a_status_that_does_not_come_in_time_is_answered_by_the_command_expected
 def test_a_controller_that_waits_for_its_answers_is_not_answered_before_it_asks(
         robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     wire = Wire(set(), {n: 0.3 * T * (n % 7) for n in range(1, 400)})
-    monkeypatch.setattr("ideal_robot.stream_motion.robot.read_waiting", wire.read)
-    monkeypatch.setattr("time.perf_counter", lambda: wire.now)
-    link = StreamMotionRobot(robot, "here")
-    link._socket, link._core, link._decoded = wire, wire, lambda packet: packet  # type: ignore[assignment]
-    link._number = link._begun = 0
-    link._at_rest(HOME, HOME)
+    link = led_over(wire, robot, monkeypatch)
     for k in range(100):
         link.cycle(way(k))
         assert link.gone_on == 0
