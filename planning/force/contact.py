@@ -16,8 +16,8 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 
 FORCE_ERRORS = (0.3, 0.002)
-"""Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant
-of damping or stamps [s]."""
+"""Standard deviations of what is estimated of the force sensor on the way: the logarithm of E over the assumed one, and
+the time constant of damping or stamps [s]."""
 STAMPS, DAMPING = 5e-4, 10.0
 """Standard deviations of what is left wrong in the sensor's stamps [s], and of a tip's damping [N s/m]."""
 
@@ -68,7 +68,7 @@ class ContactSettings:
         position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
         asking: amplitude of a force by which the tip's height swings on the way [N], which a live sensor has to feel.
         start_height: of the tip over the reference when the approach begins [m].
-        force_errors: standard deviations of the relative error of E and of the time by which forces are late [s].
+        force_errors: standard deviations of the logarithm of E over the assumed one, and of how late forces are [s].
     """
 
     force: float = 20.0

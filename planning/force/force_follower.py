@@ -46,7 +46,7 @@ SURELY = 5.0
 """Standard deviations of the mean of a cycle's samples from which on a force is none of the noise's."""
 
 Errors = tuple[float, float, float]
-"""Standard deviations of what is estimated of the force: relative error of E, lateness [s], coefficient of friction."""
+"""Standard deviations of ln E over the assumed E, of how late forces are [s], and of the coefficient of friction."""
 
 
 def surface_filter(errors: Errors) -> FilterBank:

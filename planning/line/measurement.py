@@ -34,8 +34,8 @@ class Measurement:
         bias: how much each error of the sensor adds to the values, ``(m, b)``; see ``DeviationFilter``.
         combination: how the values follow from the deviations at ``s``, ``(k, m)``, such as value and slope of a
             polynomial through them; they then count as one, all or none. None where each deviation is a value.
-        origin: where the sensor was along the directions ``(m,)`` [m], if its first error makes the distances from
-            there wrong by a ratio; what that adds depends on the deviation itself, so ``bias`` says nothing of it.
+        origin: where the sensor was along the directions ``(m,)`` [m], if its first error is the logarithm of a ratio
+            that multiplies the distances from there; that depends on the deviation, so ``bias`` says nothing of it.
         at: arc length at which the tool was [m]; None where it does not matter.
     """
 
@@ -242,11 +242,18 @@ def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  #
              at: tuple[int, int]) -> tuple[Array, Array]:
     r"""Linearises a measurement about the estimated state: fills the Jacobian ``H (m, n)``, returns values and noise.
 
-    With a ratio r of the distances from the sensor's place o (an extended Kalman filter, [L] 4.3):
+    With the logarithm r of a ratio of the distances from the sensor's place o (an extended Kalman filter, [L] 4.3):
 
-    .. math:: z = g^T \Delta x_r + r\, (g^T \Delta x_r - o) + v
+    .. math:: z = o + e^r\, (g^T \Delta x_r - o) + v
 
-    The product's second-order part is noise whose covariance follows from that of its factors, and its mean is theirs
+    A stiffness is positive, however large the error of its estimate: a ratio that could be estimated as negative made
+    a force that rises say that the surface recedes. What the second order adds, with :math:`d = g^T \Delta x_r - o`,
+    its variances :math:`G_{ij}`, :math:`\sigma_r^2` and covariances :math:`c_i`, is in the mean
+    :math:`e^r (c_i + d_i \sigma_r^2 / 2)` and noise with the covariance
+
+    .. math:: e^{2 r} \left( G_{ij} \sigma_r^2 + c_i c_j + \sigma_r^2 (d_i c_j + d_j c_i)
+              + \tfrac{1}{2} \sigma_r^4 d_i d_j \right)
+
     (a second-order filter: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation,
     10.3.2). Without it values far from the sensor's place make r falsely certain.
 
@@ -259,21 +266,24 @@ def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  #
         origin: o ``(m,)`` [m].
         at: number of states of the deviation, the first ones, and which state is r.
     """
-    size, ratio = at
+    size, at_r = at
     g = H[:, :size].copy()
-    along = g @ P[:size, :size].copy()
-    common = g @ P[:size, ratio].copy()
-    noise = R + P[ratio, ratio] * (along @ g.T)
-    value = z - common
+    variances = (g @ P[:size, :size].copy()) @ g.T
+    common = g @ P[:size, at_r].copy()
+    r, variance, ratio = x[at_r], P[at_r, at_r], np.exp(x[at_r])
+    distance = g @ x[:size].copy() - origin
+    value, noise = z.copy(), R.copy()
     for i in range(len(z)):
-        predicted = 0.0
         for k in range(size):
-            predicted += g[i, k] * x[k]
-            H[i, k] *= 1.0 + x[ratio]
-        H[i, ratio] = predicted - origin[i]
-        value[i] += x[ratio] * predicted
+            H[i, k] *= ratio
+        H[i, at_r] = ratio * distance[i]
+        # Linear in r about its estimate; what the equation says of the rest of it and its second order go to the value.
+        value[i] += ratio * (distance[i] * (r - 0.5 * variance) - common[i]) - (1.0 - ratio) * origin[i]
         for j in range(len(z)):
-            noise[i, j] += common[i] * common[j]
+            noise[i, j] += ratio**2 * (
+                variances[i, j] * variance + common[i] * common[j]
+                + variance * (distance[i] * common[j] + distance[j] * common[i])
+                + 0.5 * variance**2 * distance[i] * distance[j])
     return value, noise
 
 
