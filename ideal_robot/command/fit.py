@@ -112,7 +112,9 @@ class JointRows:
         self.size = 1.0
         self._columns: dict[tuple[tuple[float, ...], Column], Array] = {}
         self._white: dict[tuple[tuple[float, ...], Column], tuple[Array, float]] = {}
+        self._values: dict[Column, list[Array]] = {}
         self._seen: dict[tuple[str, float], list[CubicSpline]] = {}
+        self._right: dict[tuple[str, float, float], Array] = {}
 
     def rows(self, values: Sequence[Array]) -> Array:
         """Values at all instants of each stretch at the rows ``(M,)``, a zero behind each stretch."""
@@ -127,9 +129,10 @@ class JointRows:
         """Column of the regression for one term of the law, at the rows ``(M,)``; computed once a shape."""
         key = self.key(shape, column)
         if key not in self._columns:
+            if column not in self._values:
+                self._values[column] = [self.law.values(s.motion, column, self.j) for s in self.stretches]
             parts = []
-            for s in self.stretches:
-                x = self.law.values(s.motion, column, self.j)
+            for s, x in zip(self.stretches, self._values[column], strict=True):
                 if key[0]:
                     num, den = shape.discrete(s.motion.dt)
                     x = from_rest(num[int(column.of.integrated)], den, x)
@@ -141,17 +144,21 @@ class JointRows:
         """``e (N,)`` of each stretch at all of its instants."""
         key = shape.smoothing, shape.time
         if key not in self._seen:
-            if len(self._seen) > 60:
-                self._seen.clear()
             self._seen[key] = [CubicSpline(t, seen(s, self.j, shape)) for s, t in
                                zip(self.stretches, self.t, strict=True)]
         return [spline(np.maximum(spline.x - shape.late, 0.0)) - q
                 for spline, q in zip(self._seen[key], self.q, strict=True)]
 
+    def right(self, shape: Shape) -> Array:
+        """Right side of the regression, ``errors`` at the rows ``(M,)``; reset times and poles leave it as it is."""
+        key = shape.smoothing, shape.time, shape.late
+        if key not in self._right:
+            self._right[key] = self.rows(self.errors(shape))
+        return self._right[key]
+
     def raw(self, shape: Shape, columns: Sequence[Column]) -> tuple[Array, Array]:
         """Columns ``(M, m)`` and right side ``(M,)``."""
-        errors = self.errors(shape)
-        return np.column_stack([self.column(shape, c) for c in columns]), self.rows(errors)
+        return np.column_stack([self.column(shape, c) for c in columns]), self.right(shape)
 
     def listen(self, shape: Shape, columns: Sequence[Column]) -> None:
         """Takes the noise from what these columns leave."""
@@ -169,23 +176,21 @@ class JointRows:
 
     def products(self, shape: Shape, columns: Sequence[Column]) -> Products:
         """Products of whitened columns in each block."""
-        errors, white, prior = self.errors(shape), [], []
-        for column in columns:
-            key = self.key(shape, column)
-            if key not in self._white:
-                x = self.column(shape, column)
-                self._white[key] = self.noise.whiten(x, self.use), float(np.sqrt(np.mean(x**2)))
-            w, size = self._white[key]
-            white.append(w)
-            prior.append(_PRIOR * self.size / max(size, 1e-30))
-        white.append(self.noise.whiten(self.rows(errors), self.use))
-        return Products(np.column_stack(white), self.blocks, np.array(prior))
+        keys = [self.key(shape, column) for column in columns]
+        new = {key: self.column(shape, column) for key, column in zip(keys, columns, strict=True)
+               if key not in self._white}
+        *white, right = self.noise.whiten(np.column_stack([*new.values(), self.right(shape)]), self.use).T
+        self._white |= {key: (w, float(np.sqrt(np.mean(x**2)))) for (key, x), w in zip(new.items(), white, strict=True)}
+        prior = [_PRIOR * self.size / max(self._white[key][1], 1e-30) for key in keys]
+        return Products(np.column_stack([*(self._white[key][0] for key in keys), right]), self.blocks, np.array(prior))
 
     def forget(self) -> None:
-        """Lets go of terms that were made for reset times of a search that has ended."""
+        """Lets go of what was made for the times of a search that has ended."""
         for kept in (self._columns, self._white):
             for key in [key for key in kept if key[0]]:
                 del kept[key]
+        self._seen.clear()
+        self._right.clear()
 
 
 class Products:
@@ -201,6 +206,7 @@ class Products:
         edges = np.searchsorted(blocks, np.arange(BLOCKS + 1))
         parts = [rows[a:b] for a, b in pairwise(edges)]
         self.G = np.stack([part.T @ part for part in parts])
+        self.whole = self.G.sum(axis=0)
         self.precision = np.diag(1.0 / prior**2)
 
     def score(self, columns: Sequence[int] | None = None) -> float:
@@ -208,7 +214,7 @@ class Products:
         m = len(self.precision)
         own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
         whole = np.append(own, m)
-        return evidence(self.G.sum(axis=0)[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+        return evidence(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
 
     def without(self, blocks: np.ndarray) -> Posterior:
         """Coefficients given all blocks but these."""
@@ -223,7 +229,7 @@ class Products:
         m = len(self.precision)
         own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
         whole = np.append(own, m)
-        return posterior(self.G.sum(axis=0)[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+        return posterior(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
 
 
 def blocks_of(counts: Sequence[int]) -> Array:
@@ -407,7 +413,7 @@ def _held_out(source: JointRows, predicted: Sequence[JointRows], shape: Shape, c
     Returns:
         Root mean square [rad], residuals ``(M,)`` [rad], and the coefficients given all rows of the source.
     """
-    y, fold = source.rows(source.errors(shape)), folds(source.blocks)
+    y, fold = source.right(shape), folds(source.blocks)
     source.listen(shape, columns)
     products = source.products(shape, columns)
     left = np.empty_like(y)

@@ -130,11 +130,13 @@ class Shape:
 
     def discrete(self, dt: float) -> tuple[Array, Array]:
         """``poles`` as filters of lines from row to row, ``dt`` [s] apart ``(2, k)``, ``(k,)``."""
-        return _discrete(self.poles, dt)
+        return _discrete(self, dt)
 
 
-def _discrete(poles: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
-    num, den = poles
+# All terms of a law ask for its filters, one after the other, over stretches that may be sampled each at its own rate.
+@lru_cache
+def _discrete(shape: Shape, dt: float) -> tuple[Array, Array]:
+    num, den = shape.poles
     lead = len(den) - len(np.trim_zeros(den, "f"))
     num, den = num[:, lead:], den[lead:]
     if len(den) == 1:

@@ -395,7 +395,8 @@ class _JointCascade:
             self._smoothed(tau), self._smoothed(tau if sheet is None else sheet.measured)))
 
     def _smoothed(self, x: Array) -> Array:
-        return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE:self._every])
+        """Values of each cycle ``(..., N)`` below ``_CUTOFF``, without the ends ``(..., M)``."""
+        return np.asarray(filtfilt(*self._low_pass, x)[..., _EDGE:-_EDGE:self._every])
 
     def columns(self, times: Array, channel: _Channel = _Channel()) -> Array:
         """What the products of gains multiply ``(M, 6)``; behind them accelerations and what drives compensate.
@@ -409,13 +410,15 @@ class _JointCascade:
         # What position and integrator make of it is not asked here.
         commanded = self._commanded(low, channel._replace(low=0.0, schedule=schedule, integrated=0.0, bodies=False))
         moved = self._moved(velocity, schedule)
-        columns = [commanded[:, :2], moved[:, :1], commanded[:, 2:4], moved[:, 1:], commanded[:, 4:]]
+        columns = [commanded[:2], moved[:1], commanded[2:4], moved[1:], commanded[4:]]
         if channel.bodies and self.sheet is not None:
             columns.append(self._added(channel.coupled))
-        return np.hstack(columns)
+        return np.ascontiguousarray(np.vstack(columns).T)
+
+    # A value a row: filters and sums run along rows that lie in one piece.
 
     def _of_commands(self, low: float, channel: _Channel) -> Array:
-        """Columns of position error, rate, their integrals, acceleration and what turns with the rate ``(M, 4...)``."""
+        """Position error, rate, their integrals, acceleration and what turns with the rate ``(4..., M)``."""
         step = self.t_position
         at = step * np.arange(float(len(self.q_c)))
         command = np.interp(at - channel.late, at, self.q_c) if channel.late else self.q_c
@@ -423,39 +426,41 @@ class _JointCascade:
         rate = _differentiated(r, step, channel.rate)
         more = [*([_differentiated(rate, step, channel.rate)] if channel.accelerated else []),
                 *([np.tanh(rate / channel.turns)] if channel.turns else [])]
-        both = self._held(np.column_stack([r - self.q, rate]), channel.schedule)
+        both = self._held(np.stack([r - self.q, rate]), channel.schedule)
         # What drives add does not follow the inertia; accelerations do as the loops' gains.
-        further = [self._held(value[:, None], channel.schedule * (channel.accelerated and k == 0))
+        further = [self._held(value[None], channel.schedule * (channel.accelerated and k == 0))
                    for k, value in enumerate(more)]
-        return self._logged(np.hstack([both, np.cumsum(both, axis=0) * self.t_velocity, *further]))
+        return self._logged(np.vstack([both, np.cumsum(both, axis=1) * self.t_velocity, *further]))
 
     def _of_velocity(self, time: float, schedule: float) -> Array:
-        """Columns of the measured velocity behind its lag, and of the integral ``(M, 2)``."""
-        speed = self._following(-_differentiated(self.angle, self.t_velocity, time)[:, None], schedule)
-        return self._logged(np.hstack([speed, np.cumsum(speed, axis=0) * self.t_velocity]))
+        """The measured velocity behind its lag, and the integral ``(2, M)``."""
+        speed = self._following(-_differentiated(self.angle, self.t_velocity, time)[None], schedule)
+        return self._logged(np.vstack([speed, np.cumsum(speed, axis=1) * self.t_velocity]))
 
     def _of_bodies(self, coupled: bool) -> Array:
-        """Column of the torque that the data sheet's bodies take ``(M, 1)``."""
+        """The torque that the data sheet's bodies take ``(1, M)``."""
         assert self.sheet is not None
-        return self._logged(self._held((self.sheet.added if coupled else self.sheet.torque)[:, None], 0.0))
+        return self._logged(self._held((self.sheet.added if coupled else self.sheet.torque)[None], 0.0))
 
     def _held(self, values: Array, schedule: float) -> Array:
-        """Values of each cycle ``(M, k)``, held over it: they act from its instant on."""
-        each = -(-len(self.angle) // len(values))
-        return self._following(np.repeat(values, each, axis=0)[: len(self.angle)], schedule)
+        """Values of each cycle ``(k, M)``, held over it: they act from its instant on."""
+        each = -(-len(self.angle) // values.shape[1])
+        return self._following(np.repeat(values, each, axis=1)[:, : len(self.angle)], schedule)
 
     def _following(self, values: Array, schedule: float) -> Array:
-        """Rows every ``t_velocity``, times the gains where they follow the inertia by a share."""
+        """Values every ``t_velocity``, times the gains where they follow the inertia by a share."""
         if not schedule or self.sheet is None:
             return values
-        return values * np.repeat(1.0 + schedule * self.sheet.more, self.every)[: len(self.angle), None]
+        return values * np.repeat(1.0 + schedule * self.sheet.more, self.every)[: len(self.angle)]
 
     def _logged(self, acting: Array) -> Array:
         """What a drive logs of torques every ``t_velocity``, without what is quicker than the fit looks at."""
+        logged = acting[:, :: self.every]
         if self.averaged:
-            logged = acting[1:].reshape(-1, self.every, acting.shape[1]).mean(axis=1)
-            return self._smoothed(np.concatenate([acting[:1], logged]))
-        return self._smoothed(acting[:: self.every])
+            logged = logged.copy()
+            # Slice by slice: a mean over the few values of a cycle took a quarter of the search.
+            logged[:, 1:] = sum(acting[:, k :: self.every] for k in range(1, self.every + 1)) / self.every
+        return self._smoothed(logged)
 
 
 class _Stretches:
