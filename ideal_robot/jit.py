@@ -39,7 +39,7 @@ def jit(**options: Any) -> Callable[[_Function], _Function]:
     """Compiles a function as ``numba.njit(**options)`` does, at its first call with such arguments; keeps the code."""
     def compiled(function: _Function) -> _Function:
         dispatcher = numba.njit(**options)(function)
-        dispatcher._cache = _KeptCode(dispatcher.py_func)
+        dispatcher._cache = _KeptCode(dispatcher)
         compiled: _Function = dispatcher
         return compiled
 
@@ -74,12 +74,17 @@ def _told(user: FunctionType, value: Any) -> str:
     """What a value is to the compiled code of its user; types and modules by name: numba's version is kept as well."""
     if isinstance(value, Dispatcher):
         # One that calls itself is in its own bytecode.
-        return "itself" if value.py_func is user else meaning(value.py_func)
+        return "itself" if value.py_func is user else _compiled_from(value)
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, type):
         return f"{value.__qualname__} {getattr(value, '_fields', '')}"
     return getattr(value, "__name__", None) or repr(value)
+
+
+def _compiled_from(dispatcher: Dispatcher) -> str:
+    """What a compiled function means, and how it is compiled: whether it is written into its callers, and rounding."""
+    return f"{meaning(dispatcher.py_func)} {sorted(dispatcher.targetoptions.items())}"
 
 
 class _Beside(_IN_TREE):  # type: ignore[valid-type, misc]
@@ -96,9 +101,9 @@ class _Places(CompileResultCacheImpl):
 class _KeptFiles(IndexDataCacheFile):
     """One file a signature: a digest, then what it belongs to and the code."""
 
-    def __init__(self, cache_path: str, name: str, function: FunctionType) -> None:
+    def __init__(self, cache_path: str, name: str, dispatcher: Dispatcher) -> None:
         super().__init__(cache_path, name, None)
-        self._function = function
+        self._dispatcher = dispatcher
 
     def load(self, key: Any) -> Any:
         """What is kept under ``key``; None where nothing sound is."""
@@ -118,7 +123,7 @@ class _KeptFiles(IndexDataCacheFile):
             file.write(hashlib.sha256(raw).digest() + raw)
 
     def _whose(self, key: Any) -> tuple[Any, ...]:
-        return self._version, meaning(self._function), key
+        return self._version, _compiled_from(self._dispatcher), key
 
     def _path(self, key: Any) -> Path:
         # The third is a digest of the function's own code: what changed takes the file of what was before.
@@ -130,9 +135,9 @@ class _KeptFiles(IndexDataCacheFile):
 class _KeptCode(FunctionCache):
     _impl_class = _Places
 
-    def __init__(self, function: FunctionType) -> None:
-        super().__init__(function)
-        self._cache_file = _KeptFiles(self.cache_path, self._impl.filename_base, function)
+    def __init__(self, dispatcher: Dispatcher) -> None:
+        super().__init__(dispatcher.py_func)
+        self._cache_file = _KeptFiles(self.cache_path, self._impl.filename_base, dispatcher)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keeps what was compiled; where that cannot be, the next process compiles again."""

@@ -104,7 +104,8 @@ def speed_grid(v_max: Array) -> Array:
     return np.ascontiguousarray(1.2 * largest_speeds(v_max)[:, None] * np.linspace(0.0, 1.0, 161) ** 3)
 
 
-@jit()
+# Written into who calls them: handing the record on to each took an eighth of the loop's simulation.
+@jit(inline="always")
 def friction_sizes(friction: Friction, joint: int, v: float, load: float) -> tuple[float, float]:
     """Sizes of dry and fluid friction of a joint [N m].
 
@@ -133,7 +134,7 @@ def friction_sizes(friction: Friction, joint: int, v: float, load: float) -> tup
     return dry + per_load * abs(load), fluid
 
 
-@jit()
+@jit(inline="always")
 def friction_step(friction: Friction, joint: int, v: float, load: float, force: float, step: float
                   ) -> tuple[float, float]:
     """Friction torque of a joint, and its presliding state after a step [N m]; the equations: ``friction_torque``.
@@ -177,9 +178,7 @@ def friction_along(friction: Friction, v: Array, load: Array, steps: Array, befo
     for i in range(v.shape[1]):
         force, direction, distance = before.force[i], before.direction[i], friction.distance[i]
         for k in range(len(v)):
-            # As ``friction_step``, which would hand the whole record on once more: that took two fifths of the time.
-            dry, fluid = friction_sizes(friction, i, v[k, i], load[k, i])
-            torque[k, i], force = friction_torque(dry, fluid, v[k, i], force, steps[k, i], distance)
+            torque[k, i], force = friction_step(friction, i, v[k, i], load[k, i], force, steps[k, i])
             direction = presliding_state(1.0, v[k, i], direction, steps[k, i], distance)
             forces[k, i], directions[k, i] = force, direction
     return torque, Presliding(forces, directions)
