@@ -48,14 +48,16 @@ class DescribedArm:
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
         if self.kinematics.nv != robot.n:
             return f"the model of {self.name} has {self.kinematics.nv} joints, the robot {robot.name} has {robot.n}"
-        places = list(zip(list(mine)[1:], list(own)[1:], strict=False))
-        elsewhere = [j for j, (one, other) in enumerate(places, start=1)
+        if len(mine) != len(own):
+            return f"in the model of {self.name} others follow its joints than those of {robot.name}"
+        elsewhere = [j for j, (one, other) in enumerate(zip(list(mine)[1:], list(own)[1:], strict=True), start=1)
                      if not np.allclose(one.homogeneous, other.homogeneous, atol=_SAME_PLACE)]
-        motions = zip(joint_motions(self.kinematics), joint_motions(robot.pinocchio), strict=True)
-        if len(mine) != len(own) or not all(np.allclose(one, other) for one, other in motions):
-            return f"joints of the model of {self.name} follow others than those of {robot.name}"
-        return (f"joint {elsewhere[0]} of the model of {self.name} sits elsewhere than that of {robot.name}"
-                if elsewhere else "")
+        if elsewhere:
+            return f"joint {elsewhere[0]} of the model of {self.name} sits elsewhere than that of {robot.name}"
+        motions = [np.column_stack(joint_motions(model)) for model in (self.kinematics, robot.pinocchio)]
+        otherwise = np.flatnonzero(~np.isclose(*motions).all(axis=1))
+        return (f"joint {otherwise[0] + 1} of the model of {self.name} moves otherwise than that of {robot.name}: "
+                "about another axis, or with another joint" if len(otherwise) else "")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the model file."""

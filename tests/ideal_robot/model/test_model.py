@@ -86,6 +86,12 @@ def test_a_model_of_another_arm_is_refused(meet: Callable[[Model, Robot], object
     assert caught.value.field == "model"
 
 
+def test_another_arm_whose_axes_differ_is_not_said_to_have_joints_that_follow() -> None:
+    manutec = Model.load(MODELS / "manutec_r15.json")
+    with pytest.raises(InputError, match="joint 1 of the model of manutec_r15 sits elsewhere"):
+        manutec.require_arm(Robot.load("kr15"))
+
+
 def test_the_file_is_named() -> None:
     with pytest.raises(InputError, match=r"kr15\.json: model: "):
         KR15.require_arm(ROBOT, file="kr15.json")
