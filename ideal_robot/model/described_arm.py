@@ -54,8 +54,8 @@ class DescribedArm:
                      if not np.allclose(one.homogeneous, other.homogeneous, atol=_SAME_PLACE)]
         if elsewhere:
             return f"joint {elsewhere[0]} of the model of {self.name} sits elsewhere than that of {robot.name}"
-        motions = [np.column_stack(joint_motions(model)) for model in (self.kinematics, robot.pinocchio)]
-        otherwise = np.flatnonzero(~np.isclose(*motions).all(axis=1))
+        one, other = (np.column_stack(joint_motions(model)) for model in (self.kinematics, robot.pinocchio))
+        otherwise = np.flatnonzero(~np.isclose(one, other).all(axis=1))
         return (f"joint {otherwise[0] + 1} of the model of {self.name} moves otherwise than that of {robot.name}: "
                 "about another axis, or with another joint" if len(otherwise) else "")
 
