@@ -255,6 +255,11 @@ class Following(Watch):
         self._followed = np.full(robot.n, response is not None and sure)
         self._proved = np.zeros(robot.n, dtype=bool)
         self._noticed = self._astray = self._still = self._trying = self._lost = False
+        # Compiled code is loaded before an arm waits for it: compiled in a cycle it takes a second.
+        self._begin(rest := np.zeros(robot.n))
+        expected = self._answer.step(rest) + rest
+        _compared(rest, rest, expected, self._tolerance, self._forgets, self._given, self._measured, self._expected,
+                  np.zeros_like(expected))
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
         """See ``Watch.look``."""

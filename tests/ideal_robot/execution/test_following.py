@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -114,3 +116,28 @@ def test_a_slow_arm_that_is_paused_may_go_on_and_one_that_goes_on_otherwise_may_
     assert (noticed - moving) * T < 0.3
     assert watch.passes == (fault == "stands"), said
     assert ("stands still" in str(said)) == (fault == "stands")
+
+
+LOADED = """
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from ideal_robot.execution.following import Following
+from ideal_robot.robots.robot import Robot
+
+robot, rest = Robot.load("kr6"), np.zeros(6)
+known = np.concatenate([np.zeros((1, 6)), np.full((10, 6), 0.1)])
+watches = [Following(lambda: rest, robot, response, sure=sure)
+           for response, sure in ((None, True), (known, True), (known, False))]
+compiled, compile = [], Dispatcher.compile
+Dispatcher.compile = lambda self, signature: (compiled.append(self.py_func.__name__), compile(self, signature))[1]
+for watch in watches:
+    for k in range(3):
+        assert watch.look(0.012 * k, rest, rest) is None
+print(*compiled)
+"""
+
+
+def test_nothing_is_compiled_or_loaded_once_an_arm_waits() -> None:
+    """In a process of its own, as in others the code may be there already: an arm's first cycle had taken 0.7 s."""
+    answer = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == []
