@@ -158,6 +158,8 @@ class Guard:
         self._given: deque[Array] = deque(maxlen=round(LATELY / self._T) + 1)
         self._went_on, self._going_back, self._handed = 0, False, False
         self.begin(q)
+        # Compiled code is loaded before an arm waits for it.
+        slowed(np.zeros((3, robot.n)), np.ones(3), self._a_max, self._T)
 
     def begin(self, q: Array) -> None:
         """The arm rests at ``q (n,)`` [rad]: what came before is forgotten, but for the reason of a stop."""

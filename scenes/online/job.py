@@ -171,7 +171,9 @@ class Job:
     def rehearse(self) -> None:
         """Loads what is compiled, which may fall into no cycle, and learns how long this computer takes for a cycle."""
         configured, camera, force = self._imagined()
-        T = self.robot.t_ipo
+        T, rest = self.robot.t_ipo, np.zeros(self.robot.n)
+        # The motors are heard in the air, too, where no task of the rehearsal is.
+        self.model.inverse_dynamics(self.q_start, rest, rest)
         if configured.contact is None:
             deque(rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T)), maxlen=0)
             return
