@@ -43,8 +43,8 @@ class Cell:
     relative: bool
     protocol: str = "rsi"
 
-    def follow(self, scene: str, *options: str) -> subprocess.Popen[str]:
-        """Starts a follower of a shipped scene, or of a file whose name begins like one's."""
+    def follow(self, scene: str, *options: str, program: str = "scenes.cli") -> subprocess.Popen[str]:
+        """Starts a follower of a shipped scene, or of a file whose name begins like one's, by a program's ``main``."""
         kind = Path(scene).stem
         devices = ["--arm", f"{self.protocol}://127.0.0.1:{self.ports['arm']}", "--out", str(self.folder / "out")]
         devices += ["--relative"] if self.relative else []
@@ -54,7 +54,7 @@ class Cell:
             devices += ["--force", f"netft://127.0.0.1:{self.ports['force']}?rate=250", "--force-delay", "19"]
         (self.folder / "follow.json").unlink(missing_ok=True)
         return started("follow", scene, "--delay", "--wait", "240", "--json", str(self.folder / "follow.json"),
-                       *devices, *options)
+                       *devices, *options, program=program)
 
     def truth(self, session: int, seconds: float = 60.0) -> dict[str, Any]:
         """What really happened in a session, waited for."""
@@ -73,10 +73,10 @@ class Cell:
         return figures
 
 
-def started(*words: str) -> subprocess.Popen[str]:
+def started(*words: str, program: str = "scenes.cli") -> subprocess.Popen[str]:
     """A verb of the command line as a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    return subprocess.Popen([sys.executable, "-m", "scenes.cli", *words], stdout=subprocess.PIPE,
+    return subprocess.Popen([sys.executable, "-m", program, *words], stdout=subprocess.PIPE,
                             stderr=subprocess.PIPE, text=True, env=environment)
 
 
