@@ -15,6 +15,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.execution.following import Following
+from ideal_robot.friction.presliding import slid
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import TOLERANCE, RobotState
 from ideal_robot.robots.robot import Robot
@@ -178,6 +179,10 @@ class Job:
         if configured.contact is None:
             deque(rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T)), maxlen=0)
             return
+        slid(rest, rest, rest)
+        if isinstance(self.known, KnownSurface):
+            follower = self.known.follower(_GUESS.stiffness)
+            forecast_error(follower.settings, follower.errors, configured.contact.scene.speed, T, 0.0)
         first, took = math.ceil(_TOUCHED / T), list[float]()
         # What is felt need fit no surface: that is no matter here, the code is loaded.
         with suppress(PlanningError):
