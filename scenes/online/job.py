@@ -15,6 +15,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.execution.following import Following
+from ideal_robot.execution.guard import Guard
 from ideal_robot.friction.presliding import slid
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import TOLERANCE, RobotState
@@ -173,8 +174,9 @@ class Job:
         """Loads what is compiled, which may fall into no cycle, and learns how long this computer takes for a cycle."""
         configured, camera, force = self._imagined()
         T, rest = self.robot.t_ipo, np.zeros(self.robot.n)
-        # The motors are heard in the air, and the arm's following is watched, too, where no task of the rehearsal is.
+        # The motors are heard in the air, and the arm is guarded and watched, where no task of the rehearsal is.
         self.model.inverse_dynamics(self.q_start, rest, rest)
+        Guard(self.robot, self.q_start)
         Following(lambda: self.q_start, self.robot, response_of(self.model, self.robot, self.delay))
         if configured.contact is None:
             deque(rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T)), maxlen=0)

@@ -313,7 +313,7 @@ class PathPlayer:
         robot = self.link.robot
         anywhere = np.clip(robot.home, robot.q_min, robot.q_max)
         CommandGovernor(robot, anywhere, t_ipo=self.link.t_ipo).allowed(anywhere)
-        Following(lambda: anywhere, robot, self._response, sure=False).look(0.0, anywhere, anywhere)
+        Following(lambda: anywhere, robot, self._response, sure=False)
 
     def _lead(self, progress: Progress) -> None:
         """Leads the arm from where it is held to the start of the path.
