@@ -35,7 +35,30 @@ from sensing.life_signs import LifeSigns
 OLDEST = 0.4
 """Age from which on a picture is of no use: the arm's poses of that time are forgotten [s]."""
 AHEAD = 0.04
-"""How far ahead of the arm's last state a picture may be stamped [s]."""
+"""How far ahead of this computer's clock a picture or a reading may be stamped [s]."""
+
+
+class SharedTime(Protocol):
+    """Whose time what is sensed is given; ``at_begin`` is called where it begins anew."""
+
+    at_begin: list[Callable[[], None]]
+
+    @property
+    def t_ipo(self) -> float:
+        """Its cycle [s]."""
+
+    def play_time(self, host: float) -> float:
+        """Its time that belongs to this computer's time ``host`` [s]; NaN where none does."""
+
+
+def waits(arm: SharedTime, t: float, instant: float) -> bool:
+    """Whether what was sensed at ``instant`` belongs to a cycle behind that which has ended at ``t``, both [s].
+
+    Where this computer is behind the controller, it has not read yet how the arm moved until then. Forecast from the
+    motion before, that is wrong by as much as a force sensor tells a surface apart.
+    """
+    return t + 0.5 * arm.t_ipo < instant <= arm.play_time(time.perf_counter()) + AHEAD
+
 
 LEAP = 0.004
 """By how much the line may be beside its prediction in addition to what the filter takes for possible [m]: errors of a
@@ -155,7 +178,11 @@ class LiveCamera:
             return
         headers, self._headers = self._headers, []
         for header in headers:
-            self._ask(header)
+            t = self._arm.play_time(header.taken + self.time_offset)
+            if waits(self._arm, self._arm.t, t):
+                self._headers.append(header)
+            else:
+                self._ask(header, t)
 
     def _take(self) -> None:
         for message in self._process.poll():
@@ -168,13 +195,12 @@ class LiveCamera:
         if self._process.ended is not None:
             self._arm.stop(self._process.ended)
 
-    def _ask(self, header: Header) -> None:
-        t = self._arm.play_time(header.taken + self.time_offset)
+    def _ask(self, header: Header, t: float) -> None:
         if self.predict is None or not np.isfinite(t) or self._arm.stood(header.taken + self.time_offset):
             return
         if t < max(self._arm.t - OLDEST, 0.0):
             self.late += 1
-        elif t > self._arm.t + AHEAD:
+        elif t > self._arm.t + 0.5 * self._arm.t_ipo:
             self.early += 1
         else:
             # As the camera stamped it: what is known of its clock becomes better, which is no wandering of stamps.
@@ -194,15 +220,6 @@ _BEGINNING = 0.2
 """How much longer that may be while time has only begun: readings are late, and those from before do not count [s]."""
 _OLDEST = 0.4  # age of a reading that counts at all [s]; the arm has long been stopped by then (``SILENCE``)
 _WAITING = 4000  # readings: 0.6 s of the quickest box
-
-
-class SharedTime(Protocol):
-    """Whose time samples are given."""
-
-    at_begin: list[Callable[[], None]]
-
-    def play_time(self, host: float) -> float:
-        """Its time that belongs to this computer's time ``host`` [s]; NaN where none does."""
 
 
 class LiveForce:
@@ -235,12 +252,15 @@ class LiveForce:
         return samples
 
     def take(self, t: float) -> list[WrenchSample]:
-        """Samples that have come by ``t`` [s] since it was last called; ``arrived`` hands them on as well."""
-        samples = []
+        """Samples of cycles that are over by ``t`` [s] since it was last called; ``arrived`` hands them on as well."""
+        samples, latest = [], t + 0.5 * self._arm.t_ipo
         while self._readings:
-            stamp, wrench = self._readings.popleft()
+            stamp, wrench = self._readings[0]
             instant = self._arm.play_time(self.source.clock.host(stamp))
-            if not np.isfinite(instant) or not max(t - _OLDEST, 0.0) <= instant <= t + 0.04:
+            if waits(self._arm, t, instant):
+                break
+            self._readings.popleft()
+            if not max(t - _OLDEST, 0.0) <= instant <= latest:
                 self.untimely += 1
             elif self.signs.check(wrench, np.repeat([self.reach, np.inf], 3)):
                 samples.append(WrenchSample(instant, t, wrench))

@@ -137,10 +137,10 @@ class Felt:
 
 
 class _Shared:
-    """The player's clock as the force sensor sees it: the controller's time since the path began."""
+    """The player's clock as the force sensor sees it: the controller's time since the path began, cycle by cycle."""
 
-    def __init__(self) -> None:
-        self.clock, self.at_begin, self.zero = ClockRelation(), list[Callable[[], None]](), 0.0
+    def __init__(self, t_ipo: float) -> None:
+        self.clock, self.at_begin, self.zero, self.t_ipo = ClockRelation(), list[Callable[[], None]](), 0.0, t_ipo
 
     def play_time(self, host: float) -> float:
         """Time of the controller that belongs to this computer's time ``host`` [s]."""
@@ -185,7 +185,7 @@ class PathPlayer:
         self._shift = np.zeros_like(self.q_d) if recorded is None else recorded - self.q_d
         self.guard, self._response, self._felt = Guard(link.robot, self.q_d[0]), response, felt
         self.guard.patience = patience
-        self._time = _Shared()
+        self._time = _Shared(link.t_ipo)
         self._force: FeltForce | None = None
         self._state: RobotState | None = None
         self._commands: PathCommands | None = None

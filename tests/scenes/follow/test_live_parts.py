@@ -348,6 +348,37 @@ class Eye:
         self.asked.append(t)
 
 
+@pytest.mark.parametrize("behind", [0, 2, 7])
+def test_what_is_sensed_while_this_computer_is_behind_waits_for_its_cycle(behind: int, link: Tame, arm: LiveArm
+                                                                          ) -> None:
+    """Between cycles that it has not read yet nobody knows where the arm was; what was felt there is not thrown away."""
+    source, eye, T = Handmade(), Eye(), arm.t_ipo
+    camera = LiveCamera(eye, arm, DetectionSettings())  # type: ignore[arg-type]
+    camera.predict = lambda t: None  # type: ignore[assignment, return-value]
+    force, given, taken = LiveForce(source, arm), 0, list[float]()
+    # It is later by this computer's clock than all that is read.
+    link._begun -= 60.0
+    for k in range(60):
+        arm.cycle(link.robot.home)
+        source.clock.add(link.arrived, link.arrived)
+        late = behind if 20 <= k < 40 else 0
+        host = link.arrived + late * T - 0.001
+        if late or k != 40:
+            source.given = [Reading(host, np.arange(6) + 0.01 * k)]
+            eye.messages = [Header(k, host, link.arrived, host)]
+            given += 1
+        while source.given:
+            time.sleep(0.001)
+        time.sleep(0.002)
+        samples = force.arrived(arm.t)
+        assert all(sample.t <= arm.t + 0.5 * T for sample in samples)
+        taken += [sample.t for sample in samples]
+        assert all(t <= arm.t + 0.5 * T for t in eye.asked)
+    force.close()
+    assert force.untimely == 0
+    assert len(taken) == given
+
+
 def test_pictures_with_impossible_stamps_are_counted_and_a_gone_camera_stops(link: Tame, arm: LiveArm) -> None:
     eye = Eye()
     camera = LiveCamera(eye, arm, DetectionSettings())  # type: ignore[arg-type]
