@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased_way
+from ideal_robot.arrays import Array, eased_way, interpolated
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.following import ANSWERS
 from ideal_robot.execution.guard import Guard, StoppedError, accelerations
@@ -90,6 +90,7 @@ class Link(Protocol):
     answer_times: Any
     gone_on: int
     missed: bool
+    unanswered: tuple[RobotState, ...]
 
     @property
     def arrived(self) -> float:
@@ -264,11 +265,14 @@ class LiveArm:
         if not self.link.gone_on or self._last is None:
             return state
         count = min(self.link.gone_on, max(int(_FOR_LOST * self.t_ipo / max(self._usual(), 1e-6)), 1))
-        first, steps = self._last, self.link.gone_on + 1
-        for i in range(self.link.gone_on + 1 - count, steps):
-            share = i / steps
-            self._passed.append(replace(state, t=first.t + share * (state.t - first.t),
-                                        q=first.q + share * (state.q - first.q)))
+        # Some of them may have come, too late for an answer.
+        heard = [self._last, *(one for one in self.link.unanswered if self._last.t < one.t < state.t), state]
+        times, steps = np.array([one.t for one in heard]), self.link.gone_on + 1
+        between = times[0] + np.arange(steps - count, steps) / steps * (times[-1] - times[0])
+        angles, torques = (interpolated(between, times, np.array(rows))
+                           for rows in ([one.q for one in heard], [one.tau for one in heard]))
+        self._passed += [replace(state, t=float(t), q=q, tau=tau)
+                         for t, q, tau in zip(between, angles, torques, strict=True)]
         self._passed.append(state)
         return self._passed.popleft()
 

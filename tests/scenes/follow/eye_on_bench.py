@@ -154,7 +154,7 @@ class Bench:
         self.commanded = self.arm.truth.q_m.copy()
         self.answer_times: list[float] = []
         self.in_force: list[Array] = []
-        self.arrived, self.gone_on, self.missed = 0.0, 0, False
+        self.arrived, self.gone_on, self.missed, self.unanswered = 0.0, 0, False, ()
         self.counts: Any = SimpleNamespace()
 
     def send(self, q_c: Array) -> None:

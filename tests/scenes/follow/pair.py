@@ -149,6 +149,7 @@ class Tame:
         self.taken: list[Array] = []
         self.skipped: list[Array] = []
         self.gone_on, self.missed = 0, False
+        self.unanswered: tuple[RobotState, ...] = ()
 
     def send(self, q_c: Array) -> None:
         self.commanded = q_c

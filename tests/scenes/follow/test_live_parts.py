@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi.message import RsiError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError
@@ -90,6 +91,23 @@ def test_where_the_controller_went_on_the_path_goes_on_with_it(link: Tame, arm: 
     T = arm.t_ipo
     host = [link.arrived - k * T for k in (0, 10, 30, 50)]
     np.testing.assert_allclose([arm.play_time(h) for h in host], [60 * T, 50 * T, 30 * T, 10 * T], atol=1e-6)
+
+
+@pytest.mark.parametrize("heard", [False, True])
+def test_cycles_made_good_show_what_was_heard_too_late(heard: bool, link: Tame, arm: LiveArm) -> None:
+    """Between two states that are known the arm is taken to go straight on."""
+    link.repeats, link.lost, receive, T = True, (20,), link.receive, arm.t_ipo
+    bent = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0])
+
+    def late() -> RobotState:
+        state = receive()
+        link.unanswered = (RobotState(20 * T, link.robot.home + bent, np.ones(6)),) if heard and link.gone_on else ()
+        return state
+
+    link.receive = late  # type: ignore[method-assign]
+    states = [arm.cycle(link.robot.home) for _ in range(24)]
+    shown = np.array([state.q - link.robot.home for state in states])
+    assert np.abs(shown).max() == pytest.approx(0.01 if heard else 0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("repeats", [False, True])
@@ -351,7 +369,7 @@ class Eye:
 @pytest.mark.parametrize("behind", [0, 2, 7])
 def test_what_is_sensed_while_this_computer_is_behind_waits_for_its_cycle(behind: int, link: Tame, arm: LiveArm
                                                                           ) -> None:
-    """Between cycles that it has not read yet nobody knows where the arm was; what was felt there is not thrown away."""
+    """Nobody knows where the arm was in cycles that were not read yet; what was felt then is not thrown away."""
     source, eye, T = Handmade(), Eye(), arm.t_ipo
     camera = LiveCamera(eye, arm, DetectionSettings())  # type: ignore[arg-type]
     camera.predict = lambda t: None  # type: ignore[assignment, return-value]
