@@ -220,6 +220,8 @@ _BEGINNING = 0.2
 """How much longer that may be while time has only begun: readings are late, and those from before do not count [s]."""
 _OLDEST = 0.4  # age of a reading that counts at all [s]; the arm has long been stopped by then (``SILENCE``)
 _WAITING = 4000  # readings: 0.6 s of the quickest box
+_MOMENT = 0.002
+"""Time in which a thread reads a packet that has come [s]; where none comes in it, none was there."""
 
 
 class LiveForce:
@@ -236,7 +238,7 @@ class LiveForce:
         self.source, self._arm = source, arm
         self.samples = RowLog(7)
         self.signs, self.untimely, self.reach = LifeSigns(IMPOSSIBLE, CHANNELS), 0, np.inf
-        self._sound = 0.0
+        self._sound, self._read_so_far = 0.0, 0
         self._readings: deque[tuple[float, Array]] = deque(maxlen=_WAITING)
         self._taken: deque[WrenchSample] = deque(maxlen=_WAITING)
         self._closed = False
@@ -253,7 +255,15 @@ class LiveForce:
 
     def take(self, t: float) -> list[WrenchSample]:
         """Samples of cycles that are over by ``t`` [s] since it was last called; ``arrived`` hands them on as well."""
-        samples, latest = [], t + 0.5 * self._arm.t_ipo
+        samples = self._due(t)
+        # Where this program itself stood still the packets have come, and the thread has not read them yet.
+        while self._quiet(t) and self._more_is_read():
+            samples += self._due(t)
+        return samples
+
+    def _due(self, t: float) -> list[WrenchSample]:
+        """Samples among what was read so far."""
+        samples, latest = list[WrenchSample](), t + 0.5 * self._arm.t_ipo
         while self._readings:
             stamp, wrench = self._readings[0]
             instant = self._arm.play_time(self.source.clock.host(stamp))
@@ -280,6 +290,17 @@ class LiveForce:
         """How long there has been no sound reading by ``t`` [s]."""
         return t - self._sound
 
+    def _quiet(self, t: float) -> bool:
+        """Whether it has been silent for too long by ``t`` [s]."""
+        return self.silent(t) > SILENCE + (_BEGINNING if t < 0.5 else 0.0)
+
+    def _more_is_read(self) -> bool:
+        """Waits for a moment until the thread has read something more; whether it has."""
+        before, end = self._read_so_far, time.perf_counter() + _MOMENT
+        while self._read_so_far == before and time.perf_counter() < end:
+            time.sleep(_MOMENT / 10)
+        return self._read_so_far > before
+
     def begin(self) -> None:
         """The run's time begins anew."""
         self._readings.clear()
@@ -292,10 +313,9 @@ class LiveForce:
         """Why the sensor is not to be relied on at ``t`` [s]; None where it is."""
         if self.signs.fault is not None:
             return f"the force sensor: {self.signs.fault}"
-        silent = self.silent(t)
-        if silent <= SILENCE + (_BEGINNING if t < 0.5 else 0.0):
+        if not self._quiet(t):
             return None
-        return f"no sound reading of the force sensor for {1e3 * silent:.0f} ms: {self.why_silent()}"
+        return f"no sound reading of the force sensor for {1e3 * self.silent(t):.0f} ms: {self.why_silent()}"
 
     def why_silent(self) -> str:
         """What came instead of readings."""
@@ -314,6 +334,7 @@ class LiveForce:
         while not self._closed:
             for reading in self.source.read(0.1):
                 self._readings.append((reading.stamp, reading.wrench))
+                self._read_so_far += 1
 
 
 # A run without devices before the run with them: whatever is compiled or loaded late is loaded now.

@@ -350,6 +350,42 @@ def test_readings_that_cannot_be_count_as_missing(link: Tame, arm: LiveArm, wren
         assert len(force.samples) > 50
 
 
+class Slow(Handmade):
+    """Whose packets are read one by one."""
+
+    def read(self, timeout: float) -> list[Reading]:
+        time.sleep(0.0005)
+        return [self.given.pop(0)] if self.given else []
+
+
+@pytest.mark.parametrize("came", [True, False])
+def test_packets_that_are_not_read_yet_are_no_silence(came: bool, link: Tame, arm: LiveArm) -> None:
+    """This program stood still for 0.12 s: whether the sensor was silent is known when all was read that came."""
+    source, T = Slow(), arm.t_ipo
+    force = LiveForce(source, arm)
+    link._begun -= 60.0
+    for k in range(60):
+        stood = 10 if k == 40 else 1
+        link._k += stood - 1
+        arm.cycle(link.robot.home)
+        source.clock.add(link.arrived, link.arrived)
+        if came or k != 40:
+            source.given = [Reading(link.arrived - i * T - 0.001, np.arange(6) + 0.01 * k + i)
+                            for i in reversed(range(stood))]
+        if k != 40:
+            while source.given:
+                time.sleep(0.001)
+            time.sleep(0.002)
+        else:
+            arm._k = link._k * 1.0
+            arm._played[-1] = arm.t
+            force.take(arm.t)
+            assert (force.trouble(arm.t) is None) == came
+            break
+        force.take(arm.t)
+    force.close()
+
+
 class Eye:
     """A ``CameraProcess`` without a process."""
 
