@@ -52,10 +52,15 @@ class SharedTime(Protocol):
 
 
 def waits(arm: SharedTime, t: float, instant: float) -> bool:
-    """Whether what was sensed at ``instant`` belongs to a cycle behind that which has ended at ``t``, both [s].
+    """Whether what was sensed belongs to a later cycle than the one that has ended.
 
     Where this computer is behind the controller, it has not read yet how the arm moved until then. Forecast from the
     motion before, that is wrong by as much as a force sensor tells a surface apart.
+
+    Args:
+        arm: whose time it is.
+        t: end of the last cycle that was read [s].
+        instant: when it was sensed [s].
     """
     return t + 0.5 * arm.t_ipo < instant <= arm.play_time(time.perf_counter()) + AHEAD
 
