@@ -17,12 +17,13 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.row_log import let_go, new_array
 from planning import OutOfReachError
 from planning.force.contact import dry_run
+from planning.path.reference import ReferencePath
 from scenes.arms import arm_of
 from scenes.camera_calibration import calibrate_by_moving, look_at_line
 from scenes.metrics import ControlError
 from scenes.models import model_for
 from scenes.online.force_calibration import Pressed
-from scenes.online.force_known import KnownSurface, force_reference
+from scenes.online.force_known import START_HEIGHT, KnownSurface, force_reference
 from scenes.online.log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, TipTable, UnknownSurface
@@ -100,12 +101,24 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
     where = geometry(scene, place)
     with found_in(scene.source):
         reference, profile = force_reference(scene, robot, where.reference)
+    surface = true_surface(scene.surface)
     known = KnownSurface(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
                   reference=reference, profile=profile, camera=camera, detection=detection,
-                  detector=DETECTORS.get(scene.camera.detector)())
-    return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,
+                  detector=DETECTORS.get(scene.camera.detector)(), start_height=_placed(surface, reference))
+    return Cell(known=known, world=world, surface=surface, geometry=where,
                 sensor=ForceSensor(ForceSensorSettings(**scene.sensor.model_dump()), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))
+
+
+def _placed(surface: HeightSurface, reference: ReferencePath) -> float:
+    """Height of the tip above the reference at which a person places the arm [m].
+
+    It is the told one, unless the surface lies so high that less than half of it is left: that is seen.
+    """
+    frames = reference.frames(np.zeros(1))
+    start, out = (surface.plane.rotation.T @ v for v in (frames.position[0] - surface.plane.translation, frames.up[0]))
+    higher = float(surface.height(start[0], start[1]) - start[2]) / float(out[2])
+    return max(START_HEIGHT, higher + 0.5 * START_HEIGHT)
 
 
 def calibrate_tool(cell: Cell) -> ToolLoad:

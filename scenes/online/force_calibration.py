@@ -34,7 +34,7 @@ from planning.force.sensor_gain import ALIKE, LOSSES, SensorGain, best_known, wr
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
 from scenes.online.felt_force import SAFE, ZEROED, FeltForce
-from scenes.online.force_known import START_HEIGHT, KnownSurface
+from scenes.online.force_known import KnownSurface
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
 from scenes.scene_files.scene import SceneError
@@ -199,11 +199,11 @@ class Pressed:
     Args:
         known: what is known of the scene.
         tool: bias and weight.
-        start: joint angles at ``START_HEIGHT`` ``(n,)`` [rad].
+        start: joint angles where the approach begins ``(n,)`` [rad].
 
     Attributes:
         up: unit normal away from the surface ``(3,)``.
-        height: of the tip above the start of the path [m].
+        begins, height: of the tip above the start of the path, at first and now [m].
         q: commanded joint angles ``(n,)`` [rad].
     """
 
@@ -213,7 +213,7 @@ class Pressed:
         self._deflection = GearDeflection(known.model, known.robot.t_ipo)
         frames = known.reference.frames(np.zeros(1))
         self.up, self._origin, self._rotation = frames.up[0], frames.position[0], known.reference.rotation(0.0)
-        self.height, self.q = START_HEIGHT, start
+        self.begins, self.height, self.q = known.start_height, known.start_height, start
         self._times: list[float] = []
         self._places: list[Array] = []
         self._stamps: list[float] = []
@@ -364,7 +364,7 @@ class _Press(Pressed):
             self._through_air(slower.speed, slower.way / slower.speed, AIR)
             self._go(lambda: -slower.speed, self._hard, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
-        self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
+        self._go(lambda: _UP, lambda: self.height >= self.begins)
 
     def _too_quick(self) -> bool:
         """Whether this way down is too quick for the motors to measure the sensor's gain."""
@@ -452,7 +452,7 @@ class _Press(Pressed):
 
     def _high(self) -> bool:
         """Whether the tip is as high as pressing begins."""
-        return self.height >= START_HEIGHT + ABOVE
+        return self.height >= self.begins + ABOVE
 
     def _check(self, heard: bool) -> None:
         """Raises ``SceneError`` where the witnesses do not agree, or the surface is not where it can be.
@@ -467,7 +467,7 @@ class _Press(Pressed):
         if normal < -_FELT or sideways > max(_FELT, abs(normal)):
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt along the surface's normal and {sideways:.1f} "
                              "N across it, which is no push; check the force sensor's sign, axes and bias")
-        if self.height > START_HEIGHT and normal > _FELT:
+        if self.height > self.begins and normal > _FELT:
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt in the air; look whether the force sensor's "
                              "bias has leapt, or something stands in the way")
         for cycles, least in self._by_motors if heard else ():
@@ -475,7 +475,7 @@ class _Press(Pressed):
             if by_motors - normal > np.hypot(least, SURELY * LOSSES * normal):
                 raise SceneError(f"pressing was stopped: the motors feel {by_motors:.0f} N and the force sensor "
                                  f"{normal:.1f} N; look whether it is alive")
-        deepest = START_HEIGHT - ContactSettings.reach
+        deepest = self.begins - ContactSettings.reach
         if self.height < deepest and normal < _FELT:
             raise SceneError(f"pressed {-1e3 * deepest:.0f} mm below where the surface should be and felt none; look "
                              "whether it is there, or move the surface in the scene")

@@ -41,7 +41,7 @@ BRAKING = 2.0
 LONGEST = 60.0
 """A run that has not ended so long after its travel is stuck [s]."""
 START_HEIGHT = 0.01
-"""Of the tip above the reference when the approach begins [m]."""
+"""Of the tip above the reference when the approach begins, where nothing is in its way [m]."""
 
 
 @dataclass(kw_only=True)
@@ -52,6 +52,7 @@ class KnownSurface(Known):
         model: of the arm.
         profile: travel along the reference.
         asking: see ``ContactSettings``.
+        start_height: of the tip above the reference when the approach begins [m].
     """
 
     clear: ClassVar[float] = CLEAR
@@ -60,6 +61,7 @@ class KnownSurface(Known):
     model: Model
     profile: SpeedProfile
     asking: float = 0.0
+    start_height: float = START_HEIGHT
 
     @property
     def n_d(self) -> int:
@@ -71,7 +73,7 @@ class KnownSurface(Known):
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
         estimated = self.scene.assumed.elasticity_estimated
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE,
-                                   asking=self.asking, start_height=START_HEIGHT,
+                                   asking=self.asking, start_height=self.start_height,
                                    force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
         profile, acceleration = self.profile, self.scene.reference.acceleration
         jerk = settings.jerk(acceleration, JERK)
@@ -86,7 +88,7 @@ class KnownSurface(Known):
         """A fresh follower of a contour: of the reference it knows the starting point alone."""
         scene, frames = self.scene, self.reference.frames(np.zeros(1))
         out = frames.up[0]
-        start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + START_HEIGHT * out)
+        start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + self.start_height * out)
         towards = -out / np.linalg.norm(out)
         along = np.cross([0.0, 0.0, 1.0], towards)
         axes = np.stack([towards, along if along @ frames.tangent[0] > 0 else -along])

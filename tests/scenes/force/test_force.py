@@ -27,7 +27,8 @@ from scenes.force.play import ForceResult, play
 from scenes.force.trouble import Trouble
 from scenes.methods import SceneMethod
 from scenes.online.configured import force_task
-from scenes.scene_files.force_scene import CameraTrouble
+from scenes.online.force_known import START_HEIGHT
+from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from sensing.camera.line_detection import LineField
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.drive import steady_friction
@@ -330,3 +331,18 @@ def test_what_draws_pictures_is_given_back_where_a_play_ends_in_an_error(monkeyp
     with pytest.raises(InputError, match="no such arm"):
         playing.pressed(cell, task, "ideal")
     assert closed == [True]
+
+
+@pytest.mark.parametrize("scene", ["force_wave", "contour"])
+@pytest.mark.parametrize("higher_mm", [-40.0, 0.0, 4.0, 12.0, 40.0])
+def test_no_arm_is_placed_within_a_surface(scene: str, higher_mm: float) -> None:
+    told = load_scene(scene)
+    assert isinstance(told, ForceScene)
+    cell = set_up(told.changed(surface=told.surface.model_copy(update={"offset_mm": higher_mm})))
+    known = cell.known
+    start, out = known.robot.tool_places(known.q_start()[None])[0], known.reference.frames(np.zeros(1)).up[0]
+    on_plane = cell.surface.plane.rotation.T @ (start - cell.surface.plane.translation)
+    assert on_plane[2] - cell.surface.height(on_plane[0], on_plane[1]) > 0.004
+    # Where the surface is not in the way the arm begins as high as a cell's scene tells it.
+    above = (start - known.reference.frames(np.zeros(1)).position[0]) @ out
+    assert higher_mm > 4.0 or above == pytest.approx(START_HEIGHT, abs=1e-5)
