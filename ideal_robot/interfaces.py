@@ -166,13 +166,14 @@ def connected_arm(address: str, robot: Robot, settings: LinkSettings, patience: 
         option: the command line's name of the address, for messages.
 
     Raises:
-        InputError: an address that cannot be used, or a robot that does not fit the interface.
-        IdealRobotError: no controller there, or one that does not let itself be led.
+        InputError: an address that cannot be used, a robot that does not fit the interface, no controller there, or one
+            that does not let itself be led. Nothing has moved then.
     """
     interface, place = interface_of(address, option)
     opened: Opener = imported(cast(Any, interface.opened))
     with opened(place, robot, settings) as link:
-        _connect(link, patience)
+        with _at(address, option):
+            _connect(link, patience)
         yield link
 
 
@@ -197,14 +198,21 @@ def read_arm(address: str, robot: Robot, patience: float, option: str) -> Iterat
                          f"{' or '.join(f'{name}://' for name in names)}, on which others read along", field=option,
                          value=address[:80])
     opened: ReaderOpener = imported(cast(Any, interface.read))
-    try:
+    with _at(address, option):
         reader = opened(place, robot, patience)
+    with reader:
+        yield reader
+
+
+@contextmanager
+def _at(address: str, option: str) -> Iterator[None]:
+    """Names the address where nobody is found at it within the block."""
+    try:
+        yield
     except InputError:
         raise
     except IdealRobotError as error:
         raise InputError(str(error), field=option, value=address[:80]) from error
-    with reader:
-        yield reader
 
 
 def _connect(link: LinkedRobot, patience: float) -> None:

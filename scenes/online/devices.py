@@ -61,8 +61,7 @@ def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterato
         answers_within: time in which its loop answers a command [s].
 
     Raises:
-        InputError: an address that cannot be used.
-        IdealRobotError: no controller there.
+        InputError: an address that cannot be used, or no controller there.
     """
     settings = LinkSettings(devices.bridge, answers_within, devices.relative, devices.rsi_config, devices.controller)
     with connected_arm(devices.arm, robot, settings, devices.patience) as link:
