@@ -10,7 +10,7 @@ is what the environment takes, so with the force :math:`F_s` that the sensor sho
 Friction beside the model's, b, stays while the joints slide on. It is another one by δ at each other speed k, to which
 it comes over the presliding distance d of the way x since that speed was reached; δ and ε are no larger
 than dry friction itself, as slow as that is. ν is what the torques scatter by from cycle to cycle, and in blocks of
-some tenths of a second by as much more as their mean leaves there.
+some tenths of a second by as much more as their mean leaves there; it may be alike in neighbouring blocks.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array, G
+from ideal_robot.estimate.gaussian import posterior
 from ideal_robot.tolerances import ROUNDING
 from sensing.force.force_calibration import UNEXPLAINED, ToolLoad
 
@@ -218,26 +219,48 @@ class GainByMotors:
         speed = np.array([block[0] for block in self._blocks])
         rest, arm, white, slides, changes = (np.array(part) for part in zip(*(block[1:] for block in self._blocks),
                                                                             strict=True))
-        variance = np.maximum(white.mean(axis=0), _SILENT) / self._cycles
-        total = weighted = squares = 0.0
-        parts = []
-        for j in np.flatnonzero(slides.sum(axis=0) >= FEWEST):
+        noise = np.sqrt(np.maximum(white.mean(axis=0), _SILENT) / self._cycles)
+        joints = np.flatnonzero(slides.sum(axis=0) >= FEWEST)
+        # κ, and of each joint b, and δ and ε at each speed.
+        S = len(self._speeds)
+        rows, precision = list[Array](), [0.0]
+        for i, j in enumerate(joints):
             heard = slides[:, j]
-            alike = speed[heard][:, None] == speed[heard]
-            # Covariance of the blocks: scatter, friction of any size, and another one at each speed.
-            change = 1.0 + changes[heard, j][:, None] * changes[heard, j]
-            C = variance[j] * np.eye(len(alike)) + _ANY + self._beside[j] ** 2 * alike * change
-            x, y = -arm[heard, j], rest[heard, j]
-            Cx, Cy = np.linalg.solve(C, np.column_stack([x, y])).T
-            total, weighted = total + x @ Cx, weighted + x @ Cy
-            parts.append((x, y, C))
-        if total < PRIOR**-2:
+            at = np.equal.outer(speed[heard], np.arange(S)).astype(float)
+            own = np.zeros((len(at), len(joints), 1 + 2 * S))
+            own[:, i] = np.column_stack([np.ones(len(at)), at, at * changes[heard, j][:, None]])
+            rows.append(np.column_stack([-arm[heard, j], own.reshape(len(at), -1), rest[heard, j]]) / noise[j])
+            precision += [1.0 / _ANY, *np.full(2 * S, self._beside[j] ** -2.0)]
+        if not rows:
             return None
-        kappa = weighted / total
-        for x, y, C in parts:
-            left = y - kappa * x
-            squares += float(left @ np.linalg.solve(C, left))
+        columns = np.vstack(rows)
+        known = posterior(columns.T @ columns, np.diag(precision))
+        variance = float(known.covariance[0, 0])
+        if variance > PRIOR**2:
+            return None
         # Where blocks scatter by more than noise makes of them, their scatter counts.
-        count = sum(len(x) - 1 for x, *_ in parts) - 1
-        sigma = float(np.hypot(np.sqrt(max(squares / max(count, 1), 1.0) / total), LOSSES))
-        return SensorGain(float(kappa), sigma, "the motors")
+        variance *= max(known.squares / max(len(columns) - len(joints) - 1, 1), 1.0)
+        drifting = sum(_drifting(one[:, :-1] @ known.covariance[0], one[:, -1] - one[:, :-1] @ known.mean)
+                       for one in rows)
+        return SensorGain(float(known.mean[0]), float(np.hypot(np.sqrt(max(variance, drifting)), LOSSES)),
+                          "the motors")
+
+
+def _drifting(weights: Array, left: Array) -> float:
+    r"""Variance of a weighted sum of residuals that are alike in neighbouring blocks (Newey and West 1987).
+
+    .. math:: \sum_{|l| \le m} \Big(1 - \frac{|l|}{m + 1}\Big)\, \gamma_l \sum_k w_k w_{k+l}
+
+    γ is their autocovariance. With the weights w of an estimate that rises with the force, what drifts meanwhile counts
+    for more than as much scatter; so m is the number of blocks that have half of the weight.
+
+    Args:
+        weights: w ``(n,)``.
+        left: residuals ``(n,)``.
+    """
+    size = np.sort(np.abs(weights))[::-1]
+    m = min(1 + int(np.searchsorted(np.cumsum(size), 0.5 * size.sum())), len(left) - 1)
+    lags = np.arange(-m, m + 1)
+    middle = len(left) - 1
+    alike, both = (np.correlate(one, one, "full")[middle + lags] for one in (left, weights))
+    return float((1.0 - np.abs(lags) / (m + 1)) @ (alike / len(left) * both))

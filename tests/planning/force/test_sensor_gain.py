@@ -63,6 +63,25 @@ def test_the_motors_tell_a_sensors_gain(slower: bool) -> None:
         assert np.mean([told.value for told in faulty]) == pytest.approx(gain, rel=0.1)
 
 
+@pytest.mark.parametrize("drifts", [0.0, 0.8])
+def test_friction_that_drifts_from_block_to_block_is_no_gain(drifts: float) -> None:
+    """σ is true at every look, also where a third of what blocks scatter by is alike in ten of them."""
+    rng, z = np.random.default_rng(6), list[float]()
+    noise, lever = np.array([10.0, 5.0]), np.array([-0.81, -0.29])
+    true = np.concatenate([np.zeros(120 * BLOCK), np.linspace(0.0, 20.0, 60 * BLOCK)])
+    for _ in range(25):
+        motors, slow, looks = GainByMotors(np.array([5.4, 3.1]), DISTANCE, BLOCK), np.zeros(2), list[float]()
+        for cycle, force in enumerate(true):
+            if cycle % BLOCK == 0:
+                slow = 0.9 * slow + 0.436 * drifts * noise / np.sqrt(BLOCK) * rng.standard_normal(2)
+            rest = slow - lever * force + noise * rng.standard_normal(2)
+            motors.add(rest, lever * force, np.full(2, 2e-3), 1e-3)
+            if cycle >= 118 * BLOCK and cycle % (5 * BLOCK) == 0 and motors.told is not None:
+                looks.append((motors.told.inverse - 1.0) / motors.told.sigma)
+        z += looks
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
+
+
 @pytest.mark.parametrize("stiffness", [4e3, pytest.param(1e5, marks=pytest.mark.slow), 3e5])
 def test_pressed_as_slowly_as_it_takes_the_motors_tell_a_gain_as_well_as_gears_let_them(stiffness: float) -> None:
     """On 100 N/mm pressing took half a second, and a gain of 0.5 was told by nobody."""
