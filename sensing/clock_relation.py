@@ -33,7 +33,7 @@ STEP = 0.005
 LATEST = 1.0
 """A message so much later than usual is not believed alone [s]."""
 BEHIND = 4
-"""Pieces in a row whose least difference lies so far above the line: the clock stood still, or was set back."""
+"""Pieces in a row whose least difference lies equally far above the line: the clock stood still, or was set back."""
 CONFIRMED = 3
 """Differences in a row that agree with each other and not with the line: the clock was set, or the device restarted."""
 
@@ -158,7 +158,8 @@ class ClockRelation:
         above = points[:, 1] - self._offset - self._drift * points[:, 0]
         # Where messages jitter, the soonest of a piece is usually later than the soonest of all: that is no step.
         recent, usual = points[-BEHIND:], float(np.median(above[:-BEHIND])) if len(points) >= 2 * BEHIND else np.inf
-        if (above[-BEHIND:] > STEP + usual).all():
+        # A clock that was set back is so by the same time ever after; messages that are held up are not.
+        if (above[-BEHIND:] > STEP + usual).all() and np.ptp(above[-BEHIND:]) < STEP + usual:
             self.restarts += 1
             self._points = self._points[-BEHIND - 1 :]
             points = recent

@@ -117,6 +117,18 @@ def test_one_impossible_stamp_is_refused_and_changes_nothing(stamp: float) -> No
     assert relation.add(100.0, 103.0001)
 
 
+@pytest.mark.parametrize("period", [0.7, 1.7, 4.0])
+def test_messages_that_are_held_up_for_seconds_set_no_clock_back(period: float) -> None:
+    """A sender that does not keep up is late by now more, now less; what its clock shows is as true as before."""
+    relation, rng = ClockRelation(), np.random.default_rng(3)
+    for k in range(3000):
+        t = 0.004 * k
+        held_up = 0.2 + 0.15 * np.sin(2.0 * np.pi * t / period) if 4.0 < t < 8.0 else 0.0
+        relation.add(t, 100.0 + t + held_up + 0.0005 * rng.exponential())
+        assert relation.host(t) == pytest.approx(100.0 + t, abs=2e-3)
+    assert relation.restarts == 0
+
+
 def test_a_clock_that_stood_still_is_noticed_within_two_seconds() -> None:
     relation, rng = ClockRelation(), np.random.default_rng(4)
     for k in range(1000):
