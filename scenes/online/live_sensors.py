@@ -37,6 +37,20 @@ OLDEST = 0.4
 AHEAD = 0.04
 """How far ahead of this computer's clock a picture or a reading may be stamped [s]."""
 
+LEAP = 0.004
+"""By how much the line may be beside its prediction in addition to what the filter takes for possible [m]: errors of a
+camera that is mounted by hand, and corners that no map expects. Pictures that are moved by eight pixels show 6 mm."""
+BY_CHANCE = 1e-6
+"""Probability of what the filter takes for possible to be exceeded in a field."""
+
+_LATELY = 50
+"""Readings of which it is known how far apart they come."""
+
+_FAR = float(np.sqrt(chdtri(1, BY_CHANCE)))
+
+Predict = Callable[[float], PredictedLine]
+"""Where the line should be in a picture taken at a time of the run [s], in the tool frame."""
+
 
 class SharedTime(Protocol):
     """Whose time what is sensed is given; ``at_begin`` is called where it begins anew."""
@@ -51,6 +65,11 @@ class SharedTime(Protocol):
         """Its time that belongs to this computer's time ``host`` [s]; NaN where none does."""
 
 
+def belongs_until(arm: SharedTime, t: float) -> float:
+    """Until when what is sensed belongs to a cycle that ended at ``t``, both [s]: to the nearest one."""
+    return t + 0.5 * arm.t_ipo
+
+
 def waits(arm: SharedTime, t: float, instant: float) -> bool:
     """Whether what was sensed belongs to a later cycle than the one that has ended.
 
@@ -62,22 +81,7 @@ def waits(arm: SharedTime, t: float, instant: float) -> bool:
         t: end of the last cycle that was read [s].
         instant: when it was sensed [s].
     """
-    return t + 0.5 * arm.t_ipo < instant <= arm.play_time(time.perf_counter()) + AHEAD
-
-
-LEAP = 0.004
-"""By how much the line may be beside its prediction in addition to what the filter takes for possible [m]: errors of a
-camera that is mounted by hand, and corners that no map expects. Pictures that are moved by eight pixels show 6 mm."""
-BY_CHANCE = 1e-6
-"""Probability of what the filter takes for possible to be exceeded in a field."""
-
-_LATELY = 50
-"""Readings of which it is known how far apart they come."""
-
-_FAR = float(np.sqrt(chdtri(1, BY_CHANCE)))
-
-Predict = Callable[[float], PredictedLine]
-"""Where the line should be in a picture taken at a time of the run [s], in the tool frame."""
+    return belongs_until(arm, t) < instant <= arm.play_time(time.perf_counter()) + AHEAD
 
 
 @dataclass(frozen=True)
@@ -205,7 +209,7 @@ class LiveCamera:
             return
         if t < max(self._arm.t - OLDEST, 0.0):
             self.late += 1
-        elif t > self._arm.t + 0.5 * self._arm.t_ipo:
+        elif t > belongs_until(self._arm, self._arm.t):
             self.early += 1
         else:
             # As the camera stamped it: what is known of its clock becomes better, which is no wandering of stamps.
@@ -268,7 +272,7 @@ class LiveForce:
 
     def _due(self, t: float) -> list[WrenchSample]:
         """Samples among what was read so far."""
-        samples, latest = list[WrenchSample](), t + 0.5 * self._arm.t_ipo
+        samples, latest = list[WrenchSample](), belongs_until(self._arm, t)
         while self._readings:
             stamp, wrench = self._readings[0]
             instant = self._arm.play_time(self.source.clock.host(stamp))

@@ -12,6 +12,7 @@ import pytest
 from ideal_robot.arrays import Array, eased
 from ideal_robot.execution.following import Following
 from ideal_robot.robots.robot import Robot
+from tests.sources import ROOT
 
 ROBOT = Robot.load("kr6")
 N = ROBOT.n
@@ -120,7 +121,7 @@ def test_a_slow_arm_that_is_paused_may_go_on_and_one_that_goes_on_otherwise_may_
 
 LOADED = """
 import numpy as np
-from numba.core.dispatcher import Dispatcher
+from tests.scenes.follow.loaded_late import watched
 from ideal_robot.execution.following import Following
 from ideal_robot.robots.robot import Robot
 
@@ -128,8 +129,7 @@ robot, rest = Robot.load("kr6"), np.zeros(6)
 known = np.concatenate([np.zeros((1, 6)), np.full((10, 6), 0.1)])
 watches = [Following(lambda: rest, robot, response, sure=sure)
            for response, sure in ((None, True), (known, True), (known, False))]
-compiled, compile = [], Dispatcher.compile
-Dispatcher.compile = lambda self, signature: (compiled.append(self.py_func.__name__), compile(self, signature))[1]
+watched(compiled := [], [True])
 for watch in watches:
     for k in range(3):
         assert watch.look(0.012 * k, rest, rest) is None
@@ -139,5 +139,5 @@ print(*compiled)
 
 def test_nothing_is_compiled_or_loaded_once_an_arm_waits() -> None:
     """In a process of its own, as in others the code may be there already: an arm's first cycle had taken 0.7 s."""
-    answer = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True)
+    answer = subprocess.run([sys.executable, "-c", LOADED], cwd=ROOT, capture_output=True, text=True, check=True)
     assert answer.stdout.split() == []

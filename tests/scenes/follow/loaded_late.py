@@ -12,29 +12,36 @@ from ideal_robot.robots.interface import LinkedRobot
 LATE = "loaded late: "
 
 
-def watched(late: list[str]) -> None:
-    """From now on ``late`` gets the names of functions that are compiled or loaded once an arm is waited for."""
-    compiled, received, waiting = Dispatcher.compile, LinkedRobot.receive, []
+def watched(late: list[str], waiting: list[bool]) -> None:
+    """From now on ``late`` gets the names of functions that are compiled or loaded once ``waiting`` is not empty."""
+    compiled = Dispatcher.compile
 
     def compile_(self: Any, signature: Any) -> Any:
-        name = f"{self.py_func.__module__}.{self.py_func.__name__}"
-        if waiting and not name.startswith("numba."):
-            late.append(name)
+        if waiting:
+            late.append(f"{self.py_func.__module__}.{self.py_func.__name__}")
         return compiled(self, signature)
+
+    Dispatcher.compile = compile_
+
+
+def waited_for(waiting: list[bool]) -> None:
+    """From now on ``waiting`` says that an arm is waited for."""
+    received = LinkedRobot.receive
 
     def receive(self: Any, *args: Any) -> Any:
         waiting.append(True)
         return received(self, *args)
 
-    Dispatcher.compile, LinkedRobot.receive = compile_, receive
+    LinkedRobot.receive = receive
 
 
 if __name__ == "__main__":
-    names: list[str] = []
-    watched(names)
+    names, waits = list[str](), list[bool]()
+    watched(names, waits)
+    waited_for(waits)
     from scenes.cli import main
 
     try:
         main()
     finally:
-        print(LATE + " ".join(names), file=sys.stderr)
+        print(LATE + " ".join(name for name in names if not name.startswith("numba.")), file=sys.stderr)
