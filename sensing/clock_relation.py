@@ -1,13 +1,15 @@
 r"""How a device's clock relates to this computer's, from stamps and arrivals alone.
 
-A message with stamp ``s`` of the device's clock arrives at ``h`` of this computer's clock after a delay that is never
-below a least one. The differences ``h - s`` so lie above a line
+A message with stamp ``s`` of the device's clock arrives at ``h`` of this computer's clock after a delay that is seldom
+below its usual least. The differences ``h - s`` so lie above a line
 
-.. math:: h - s \ge o + d\, s ,
+.. math:: h - s \approx o + d\, s ,
 
 whose slope ``d`` is the drift and whose height ``o`` the offset, the least delay included. The least difference of each
 quarter of a second gives a point; the slope is their regression line's, held near zero by what quartz clocks do
-(a prior of 100 ppm) as long as the points tell little; the height is that of the highest such line below all points.
+(a prior of 100 ppm) as long as the points tell little. The height is what the least difference of a second is on
+average. The lowest of all falls while messages jitter on: at the end of a run it is another one than where a sensor was
+calibrated.
 """
 
 from __future__ import annotations
@@ -28,12 +30,14 @@ PRIOR = 1e-4
 """Drift of clocks before anything is known, standard deviation."""
 FINEST = 2e-5
 """What is taken at least for the standard deviation of a piece's least difference [s]."""
+TOGETHER = 4
+"""Pieces whose least difference on average is the height of the line: a second's."""
 STEP = 0.005
-"""A difference so far below the line is not believed alone [s]."""
+"""A difference so far below the line, and by what pieces usually are beside it, is not believed alone [s]."""
 LATEST = 1.0
 """A message so much later than usual is not believed alone [s]."""
-BEHIND = 4
-"""Pieces in a row whose least difference lies equally far above the line: the clock stood still, or was set back."""
+BESIDE = 4
+"""Pieces in a row whose least difference lies equally far beside the line: the clock stood still, or was set anew."""
 CONFIRMED = 3
 """Differences in a row that agree with each other and not with the line: the clock was set, or the device restarted."""
 
@@ -70,8 +74,8 @@ class ClockRelation:
     """Translates between a device's clock and this computer's.
 
     Args:
-        least_delay: shortest time between the instant that a stamp names and the arrival of its message, which stamps
-            and arrivals cannot tell [s].
+        least_delay: usual shortest time of a second between the instant that a stamp names and the arrival of its
+            message, which stamps and arrivals cannot tell [s].
     """
 
     def __init__(self, least_delay: float = 0.0) -> None:
@@ -94,7 +98,7 @@ class ClockRelation:
             self._begin(stamp, arrived)
         x, y = stamp - self._x0, (arrived - self._y0) - (stamp - self._x0)
         beyond = y - self._offset - self._drift * x
-        if self.known and not -STEP < beyond < LATEST:
+        if self.known and not -STEP - self._usual < beyond < LATEST:
             return self._doubted(stamp, arrived)
         self._aside.clear()
         self.known = True
@@ -109,7 +113,8 @@ class ClockRelation:
             self._fit()
         elif self._points and y < self._points[-1][1] and slot == self._slot:
             self._points[-1] = (x, y)
-        self._offset = min(self._offset, y - self._drift * x)
+        if len(self._points) <= TOGETHER:
+            self._offset = min(self._offset, y - self._drift * x)
         return True
 
     def host(self, stamp: float) -> float:
@@ -131,7 +136,7 @@ class ClockRelation:
 
     def _begin(self, stamp: float, arrived: float) -> None:
         self._x0, self._y0 = stamp, arrived
-        self._offset, self._drift, self._drift_std = 0.0, 0.0, PRIOR
+        self._offset, self._drift, self._drift_std, self._usual = 0.0, 0.0, PRIOR, 0.0
         self._points: list[tuple[float, float]] = []
         self._slot, self._newest = -1, 0.0
 
@@ -155,26 +160,45 @@ class ClockRelation:
         points = np.array(self._points[:-1])
         if len(points) < 2:
             return
-        above = points[:, 1] - self._offset - self._drift * points[:, 0]
-        # Where messages jitter, the soonest of a piece is usually later than the soonest of all: that is no step.
-        recent, usual = points[-BEHIND:], float(np.median(above[:-BEHIND])) if len(points) >= 2 * BEHIND else np.inf
-        # A clock that was set back is so by the same time ever after; messages that are held up are not.
-        if (above[-BEHIND:] > STEP + usual).all() and np.ptp(above[-BEHIND:]) < STEP + usual:
+        beside = points[:, 1] - self._offset - self._drift * points[:, 0]
+        # Where messages jitter, the soonest of a piece is usually later than the soonest of more: that is no step.
+        usual = float(np.median(np.abs(beside[:-BESIDE]))) if len(points) >= 2 * BESIDE else np.inf
+        recent = beside[-BESIDE:]
+        # A clock that was set is so by the same time ever after; messages that are held up are not.
+        if np.ptp(recent) < STEP + usual < min(np.abs(recent)):
             self.restarts += 1
-            self._points = self._points[-BEHIND - 1 :]
-            points = recent
-        x, y = _usual(points).T
+            self._points = self._points[-BESIDE - 1 :]
+            points = points[-BESIDE:]
+        points = _sound(points)
+        x, y = points.T
         x = x - x.mean()
         spread = float(x @ x)
         residual = y - y.mean() - x * float(x @ y) / spread
         variance = max(float(residual @ residual) / max(len(x) - 2, 1), FINEST**2)
         weight = spread + variance / PRIOR**2
         self._drift, self._drift_std = float(x @ y) / weight, math.sqrt(variance / weight)
-        every = np.array(self._points)
-        self._offset = float(np.min(every[:, 1] - self._drift * every[:, 0]))
+        heights = points[:, 1] - self._drift * points[:, 0]
+        self._offset = _least_of(heights, TOGETHER)
+        self._usual = float(np.median(np.abs(heights - self._offset)))
 
 
-def _usual(points: Array) -> Array:
+def _least_of(values: Array, few: int) -> float:
+    """What the least of a few values that are drawn from these is on average; of fewer, the least.
+
+    Every set of so many is as likely: the mean over all of them (Hoeffding's U-statistic), from the values in order.
+
+    Args:
+        values: ``(N,)``.
+        few: how many are drawn.
+    """
+    values, n = np.sort(values), len(values)
+    if n < few:
+        return float(values[0])
+    sets = np.array([math.comb(n - 1 - i, few - 1) for i in range(n)], dtype=float)
+    return float(values @ sets / math.comb(n, few))
+
+
+def _sound(points: Array) -> Array:
     """The points without those that lie high above the others: pieces of time in which the network stood still."""
     above = points[:, 1] - np.min(points[:, 1])
     return points[above <= 4.0 * float(np.median(above)) + FINEST]

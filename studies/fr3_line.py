@@ -27,6 +27,7 @@ from scenes.report.replay import Replay, shown_motion
 from scenes.report.video import check_video, write_video
 from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
+from scenes.serve.elsewhere import SOONEST
 from studies.other_arms import write_fr3
 from studies.report import head, row
 from studies.slow_clock import environment
@@ -145,7 +146,7 @@ def _played(folder: Path, env: dict[str, str], scene: Path, own: Path, camera: P
     loaded = load_scene(scene)
     assert isinstance(loaded, LineScene)
     start = ",".join(f"{angle:.6f}" for angle in set_up(loaded).known.follower.q_start)
-    least = 1e3 * (loaded.camera.latency - 2.5 * loaded.camera.jitter)
+    least = 1e3 * (loaded.camera.latency - SOONEST * loaded.camera.jitter)
     truth, told = own / "camera.json", own / "follow.json"
     for old in (truth, told):
         old.unlink(missing_ok=True)

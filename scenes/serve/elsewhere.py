@@ -37,6 +37,8 @@ from sim.camera.image_chain import CameraSettings
 from sim.camera.lamp import ArmShape
 from sim.devices.stream_server import DeviceClock, Unkindness, now
 
+SOONEST = 2.0
+"""Standard deviations of the latency by which a second's soonest picture of some twenty-five is early, on average."""
 _REMEMBERED = 2.0
 """Time of which states are kept [s]; a picture is exposed as soon as the states about it are there."""
 _ANEW = 1.0
@@ -228,8 +230,8 @@ def _say_where(cell: Cell, scene: LineScene, camera: ServedCamera, places: Camer
     """Says where pictures come, and where the arm has to stand."""
     say("camera: stream://{}:{}".format(*camera.address))
     if places.topic is not None:
-        # The soonest of a hundred pictures, whose latency jitters normally: a topic tells no clock but by arrivals.
-        least = max(scene.camera.latency - 2.5 * scene.camera.jitter, 0.0)
+        # The soonest of a second's pictures, whose latency jitters normally: a topic tells no clock but by arrivals.
+        least = max(scene.camera.latency - SOONEST * scene.camera.jitter, 0.0)
         say(f"camera: ros2://{places.topic} (--camera-delay {1e3 * least:g})")
     say("the path starts at q = " + ", ".join(f"{angle:.4f}" for angle in cell.known.follower.q_start) + " rad")
 

@@ -206,6 +206,30 @@ def device(hello: bytes, messages: Callable[[int], bytes | None], *, clock: Call
         listener.close()
 
 
+def test_where_messages_jitter_their_clock_is_the_same_at_the_end_as_where_a_sensor_was_calibrated() -> None:
+    """By the soonest message of all it went by 1.5 ms between 15 and 60 s, which is 0.2 mm on a line that bends."""
+    moved = []
+    for seed in range(20):
+        rng, clock = np.random.default_rng(seed), ClockRelation()
+        for k in range(1500):
+            clock.add(0.04 * k, 50.0 + 0.04 * k + 0.04 + 0.004 * float(rng.standard_normal()))
+            if k == 375:
+                calibrated = clock.host(15.0)
+        moved.append(clock.host(60.0) - 45.0 - calibrated)
+    assert abs(np.mean(moved)) < 5e-4
+    assert np.std(moved) < 1.2e-3
+
+
+@pytest.mark.parametrize("by", [-0.02, 0.02])
+def test_a_clock_that_is_set_by_more_than_messages_jitter_is_another_one(by: float) -> None:
+    rng, clock = np.random.default_rng(6), ClockRelation()
+    for k in range(2000):
+        s = 0.02 * k
+        clock.add(s, 7.0 + s + 0.002 * float(rng.exponential()) + (by if s > 30.0 else 0.0))
+    assert clock.restarts == 1
+    assert clock.host(40.0) == pytest.approx(47.0 + by, abs=1e-3)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_messages_that_jitter_set_no_clock_anew(seed: int) -> None:
     """Pictures over a network, 4 ms sooner or later: every few seconds their clock was taken for another."""
