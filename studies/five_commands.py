@@ -126,7 +126,8 @@ def chain(arm: Simulated, folder: Path, path: str, seed: int, period: float, met
     """
     robot = identified(arm, folder, period)
     corrected, played = folder / f"{path}_corrected.parquet", folder / f"{path}_played.json"
-    if not played.is_file():
+    # Without the path as it is a play was interrupted.
+    if not played.is_file() or "before" not in json.loads(played.read_text(encoding="utf-8")):
         write_path(folder / f"{path}.csv", robot, seed, DURATION, QUICK if path == "quick" else 1.0)
         command(folder, "precorrect", f"{path}.csv", "--model", "model.json", "--robot", robot, "-o", corrected.name,
                  "--json", f"{path}_corrected.json", *(["--method", method] if method else []))
