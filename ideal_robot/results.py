@@ -152,6 +152,7 @@ def over_time(t: Array, panels: Sequence[Panel], title: str, along: str = "t [s]
         axis.grid(alpha=0.3)
     axes[0].legend(loc="upper right", fontsize="small")
     axes[-1].set_xlabel(along)
+    figure.align_ylabels()
     figure.suptitle(title)
     return figure
 

@@ -182,8 +182,10 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
 
 def _summary(analysis: StiffnessAnalysis, truth: Array | None) -> str:
     methods = sorted({result.method for result in analysis.joints})
-    joints = ", ".join(str(joint) for joint in sorted({result.joint for result in analysis.joints}))
-    text = f"{analysis.robot.name}: stiffness of joint {joints} by {', '.join(methods)}."
+    found = "; ".join(f"joint {joint} " + ", ".join(f"{fit.stiffness:.3g} N m/rad ({fit.method})"
+                                                     for fit in analysis.joints if fit.joint == joint)
+                      for joint in sorted({result.joint for result in analysis.joints}))
+    text = f"Stiffness of {analysis.robot.name}: {found}."
     if truth is not None:
         worst = {m: max(abs(100 * (fit.stiffness / truth[fit.joint - 1] - 1)) for fit in analysis.by(m).values())
                  for m in methods}
@@ -209,9 +211,9 @@ def _time_figure(signals: ClampedSignals, robot: Robot) -> Figure:
         for i, (name, colour) in enumerate(zip(("fx", "fy", "fz"), (GREY, BLUE, ORANGE), strict=True)):
             if name in signals.measured:
                 axes[2].plot(signals.t, signals.wrench[:, i] / 1e3, color=colour, label=name)
-        axes[2].legend(loc="upper right")
+        axes[2].legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     axes[1].set_ylabel(f"τ_{joint + 1} [kN m]")
-    axes[1].legend(loc="upper right")
+    axes[1].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     axes[2].set(xlabel="t [s]", ylabel="force [kN]")
     for axis in axes:
         axis.grid(alpha=0.3)

@@ -262,22 +262,21 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
     sigmas = [result.found.sigma for result in shown if result.found.found]
     unreadable = len(results) - len(shown)
     sure = f"; its points are known to {np.median(sigmas):.2f} px (median standard deviation)" if sigmas else ""
-    report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(shown)} pictures of "
+    report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(shown)} pictures, from "
                                       f"{', '.join(sources)}{sure}."
                                       + f" {unreadable} could not be read." * bool(unreadable))
     # What was found is seen first; of a film the order in time is kept.
     if not any(result.state for result in shown):
         shown.sort(key=lambda one: not one.found.found)
-    for i, (name, picture, line, state) in enumerate(shown[:_SHOWN]):
+    report.next(*next_steps(sources[0], count))
+    for name, picture, line, state in shown[:_SHOWN]:
         notes = [state] * bool(state) + [f"σ = {line.sigma:.2f} px" if line.found else line.reason]
         breaks = ""
         if line.breaks:
             notes.append(f"{len(line.pieces)} pieces")
             breaks = "; arrows: where it breaks"
-        report.image(drawn(picture, line), f"{name}: {', '.join(map(str, notes))}. Orange: edges of the line; green: "
-                                           f"points; red: points where it hardly shows{breaks}.")
-        if i == 0:
-            report.next(*next_steps(sources[0], count))
+        colours = f" Orange: edges of the line; green: points; red: points where it hardly shows{breaks}."
+        report.image(drawn(picture, line), f"{name}: {', '.join(map(str, notes))}." + colours * bool(len(line.points)))
     if len(shown) > _SHOWN:
         report.text(f"The first {_SHOWN} of {len(shown)} pictures are shown; all are in the JSON file.")
     report.heading("All pictures", folded=count == len(results))

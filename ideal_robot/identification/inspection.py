@@ -103,9 +103,10 @@ class Inspection(Summarised):
         """Positions and torques over time."""
         r = self.recording
         stride = max(1, len(r.t) // _SHOWN)
-        panels = [(f"{prefix}_{j + 1}", [("recorded", r.columns[f"{prefix}_{j + 1}"][::stride])])
-                  for j in range(r.n) for prefix in ("q", "tau", "current") if f"{prefix}_{j + 1}" in r.columns
-                  and (prefix != "current" or not r.has("tau"))]
+        units = {one.column: f" [{one.unit}]" for one in self.ranges}
+        names = [name for j in range(r.n) for prefix in ("q", "tau", "current")
+                 if (name := f"{prefix}_{j + 1}") in r.columns and (prefix != "current" or not r.has("tau"))]
+        panels = [(name + units.get(name, ""), [("recorded", r.columns[name][::stride])]) for name in names]
         return over_time(r.t[::stride], panels, r.source)
 
 

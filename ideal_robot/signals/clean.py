@@ -117,11 +117,12 @@ def cleaned(recording: Recording, robot: Robot, *, torques: bool = True, command
             require_metres(recording.columns[name], file=source, column=name)
     if torques and not recording.joints("tau").any():
         raise InputError("every torque is zero; is this the torque column?", file=source, field="tau_i")
+    moved = robot.units("rad")
     for j in range(n):
         if np.ptp(q[:, j]) < STILL:
             unseen = "friction and inertia" if torques else "controller"
-            acts.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g}; its {unseen} cannot be "
-                        "identified")
+            acts.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g} {moved[j]}; its {unseen} "
+                        "cannot be identified")
     recording, spread = at_sampling_instants(recording)
     if spread > 0.0:
         acts.append(f"irregular-sampling: samples were taken {1e3 * spread:.2g} ms (standard deviation) off their "

@@ -138,8 +138,9 @@ class Closing(ShownTable):
         kept = [*(said(*place) for place in places), *anew]
         errors = ", ".join(f"{self.plays[name].error:.3g} {words}" for name, words in _ANSWERS.items()
                            if name in self.plays)
-        return (f"Hidden: {hidden or 'nothing that has a name'}. Found and kept: "
-                f"{' and '.join(kept) or 'nothing, the model is as it was'}. {self.words.error}: {errors}.")
+        return (f"{self.words.error}: {errors}. Found and kept: "
+                f"{' and '.join(kept) or 'nothing, the model is as it was'}. Hidden in the simulated arm: "
+                f"{hidden or 'nothing that has a name'}.")
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
@@ -193,11 +194,12 @@ class Closing(ShownTable):
         return page
 
     def _curves(self, abscissa: str, ordinate: str) -> Figure:
-        figure = Figure(figsize=(5.4, 3.0), layout="constrained")
+        figure = Figure(figsize=(4.6, 2.8), layout="constrained")
         axes = figure.subplots()
         for name, played in self.plays.items():
             if played.curve is not None and name in _COLOURS:
-                axes.plot(*played.curve, color=_COLOURS[name], lw=1.1, label=name)
+                # Dashed, so that what lies below it is seen.
+                axes.plot(*played.curve, "--" if name == "oracle" else "-", color=_COLOURS[name], lw=1.1, label=name)
         axes.set(xlabel=abscissa, ylabel=ordinate)
         # Above the picture it hides no curve.
         axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -403,7 +403,7 @@ def precorrect(options: PrecorrectOptions) -> None:
         report = folder / "report.html"
         with whole_files(options.output, report, options.json) as (path_file, page_file, json_file):
             result.recording.write(path_file)
-            write_page(result, page_file, measured)
+            write_page(result, page_file, measured, options.output)
             write_signed(json_file, {**result.to_dict(), **_played_errors(measured), "output": options.output,
                                      "report": report})
     show_table("Correction per joint", *table(result, measured))
@@ -415,6 +415,7 @@ def precorrect(options: PrecorrectOptions) -> None:
         typer.echo(f"warning: {warning}", err=True)
     typer.echo(f"corrected path: {options.output}")
     typer.echo(f"report: {report}")
+    typer.echo(f"next: Play it on an arm behind its maker's interface. ideal-robot play {options.output} --arm ADDRESS")
 
 
 def _played_errors(measured: tuple[Array, Array] | None) -> dict[str, Any]:

@@ -26,9 +26,9 @@ Contribution = tuple[tuple[str, ...], Traces, int, Array]
 def without_each_figure(diagnosis: Diagnosis) -> Figure:
     """The error on held-out data before, with all causes but one, and with all; one panel a channel, with the noise."""
     effects = _in_order(diagnosis)
-    channels = list(dict.fromkeys(e.fitted.channel for e in effects))[:6]
-    rows = {name: [e for e in effects if e.fitted.channel == name] for name in channels}
-    figure = Figure(figsize=(5.4, 0.7 + sum(0.95 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
+    channels = list(dict.fromkeys(channel_of(diagnosis, e) for e in effects))[:6]
+    rows = {name: [e for e in effects if channel_of(diagnosis, e) == name] for name in channels}
+    figure = Figure(figsize=(4.6, 0.7 + sum(0.95 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
     panels = figure.subplots(len(channels), 1, squeeze=False,
                              height_ratios=[2.2 + len(rows[name]) for name in channels])[:, 0]
     for axes, name in zip(panels, channels, strict=True):
@@ -54,9 +54,18 @@ def without_each_figure(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
+def channel_of(diagnosis: Diagnosis, effect: FoundEffect) -> str:
+    """The measured channel that an effect is in: ``tau_6`` of what is fitted as ``tau_bell_6``."""
+    name = effect.fitted.channel
+    measured = f"{name.partition('_')[0]}_{name.rpartition('_')[2]}"
+    return measured if any(c.channel == measured for c in diagnosis.channels) else name
+
+
 def unit_of(diagnosis: Diagnosis, name: str) -> str:
     """Unit of a channel, or of the channels that begin with ``name`` where all joints' are meant; empty if none is."""
-    return next((c.unit for c in diagnosis.channels if name in (c.channel, c.channel.rpartition("_")[0])), "")
+    # The tool's channels are called x, y and z.
+    names = ("x",) if name.partition("_")[0] == TCP_POSITION.prefix else (name,)
+    return next((c.unit for c in diagnosis.channels if c.channel in names or c.channel.rpartition("_")[0] in names), "")
 
 
 def shown_in(unit: str) -> tuple[float, str]:
@@ -128,7 +137,7 @@ def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) ->
     x = signals[label] if curve else added
     # What the model would leave if only this effect were taken out again.
     without = traces.residual_after[:, j] + added
-    figure = Figure(figsize=(5.4, 3.4), layout="constrained")
+    figure = Figure(figsize=(4.6, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.plot(x[mask], without[mask], ".", ms=2, color=_SOFT, alpha=0.35, rasterized=True, label="residual without it")
     centre, mean, error = _binned(x[mask], without[mask], 30)

@@ -12,6 +12,7 @@ from ideal_robot.effects import SENSOR
 from ideal_robot.registry import in_words
 from scenes.diagnosis.figures import (
     arguments_figure,
+    channel_of,
     contributions,
     effect_figure,
     over_signals,
@@ -23,6 +24,8 @@ from scenes.diagnosis.figures import (
 from scenes.report.call import UNKNOWN, Call
 from scenes.report.page import Report
 
+_SAID = 2
+"""Channels that the summary names one by one; of more, how many there are and the foremost one."""
 _WORDS = {
     "effects": "The model misses {effects}.",
     "none": "Nothing is missing: what the model leaves in this recording shows no dependence on anything that was "
@@ -34,6 +37,8 @@ _WORDS = {
     "left": "The model misses {effects}.",
     "undecided": "No joint moves in this recording: it decides nothing of the arm.",
 }
+_EFFECTS = {"degressive": "degressive friction", "stribeck": "Stribeck friction"}
+"""Effects whose names say the law alone."""
 
 
 def diagnosis_page(diagnosis: Diagnosis, title: str, call: Call = UNKNOWN) -> Report:
@@ -85,7 +90,10 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, 
     """
     poor = [f"Joint {joint} {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
     moved = f"Parameters that changed: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
-    for warning in filter(None, (*poor, *diagnosis.warnings, unexplained(diagnosis), moved)):
+    # Of a joint that moves too little one sentence is enough.
+    said = [warning for warning in diagnosis.warnings
+            if not any(warning.startswith(f"joint-never-moves: joint {joint} ") for joint in diagnosis.undecided)]
+    for warning in filter(None, (*poor, *said, unexplained(diagnosis), moved)):
         page.warning(warning)
     if diagnosis.effects or diagnosis.unknown:
         page.figure(without_each_figure(diagnosis), "The error on held-out data before, with all causes but one, and "
@@ -133,18 +141,30 @@ def summary(diagnosis: Diagnosis) -> str:
                  "it does not fall: that it is missing is not claimed.")
     errors = _errors(diagnosis)
     if errors and diagnosis.verdict in ("effects", "unknown"):
-        text += f" On data that had no part in finding it the error of {_listed(errors)}."
+        # Of many channels the one that falls most; the table has all.
+        most = min(_own(diagnosis), key=lambda c: c.rms_after / max(c.rms_before, 1e-300))
+        words = (f"the error of {_listed(errors)}" if len(errors) <= _SAID else
+                 f"the errors of {len(errors)} channels fall; that of {_fall(most)}")
+        text += f" On data that had no part in finding it {words}."
     return f"{text} {above}" if above else text
 
 
 def _errors(diagnosis: Diagnosis) -> list[str]:
-    """Error before and after of each channel in which something was found; of those where it falls if it has none."""
+    """Error before and after of each channel of ``_own``, in words."""
+    return [_fall(c) for c in _own(diagnosis)]
+
+
+def _fall(c: ChannelResult) -> str:
+    before, after, unit = _told(c.unit, c.rms_before, c.rms_after)
+    return f"{c.channel} goes from {before:.3g} to {after:.3g} {unit}"
+
+
+def _own(diagnosis: Diagnosis) -> list[ChannelResult]:
+    """The channels in which something was found; those where the error falls if it has none."""
     channels = {e.fitted.channel for e in (*diagnosis.effects, *diagnosis.unknown) if _lowers(e)}
     # What is found in the whole arm has the name that all its channels begin with.
     own = [c for c in diagnosis.channels if {c.channel, c.channel.rpartition("_")[0]} & channels]
-    shown = own or [c for c in diagnosis.channels if c.rms_after < 0.98 * c.rms_before]
-    return [f"{c.channel} goes from {before:.3g} to {after:.3g} {unit}"
-            for c in shown for before, after, unit in [_told(c.unit, c.rms_before, c.rms_after)]]
+    return own or [c for c in diagnosis.channels if c.rms_after < 0.98 * c.rms_before]
 
 
 def _above_noise(diagnosis: Diagnosis) -> str:
@@ -153,7 +173,12 @@ def _above_noise(diagnosis: Diagnosis) -> str:
     entries = [(c, *_told(c.unit, c.rms_after)) for c in channels]
     if not entries:
         return ""
-    named = _listed([f"{c.channel} ({value:.3g} {unit}, {c.times_noise:.2g} times)" for c, value, unit in entries])
+    # Of many channels the loudest; the table of errors has all.
+    loudest = max(entries, key=lambda entry: entry[0].times_noise)
+    named = _listed([f"{c.channel} ({value:.3g} {unit}, {c.times_noise:.2g} times)"
+                     for c, value, unit in (entries if len(entries) <= _SAID else [loudest])])
+    if len(entries) > _SAID:
+        named = f"{len(entries)} channels, most {named}"
     return f"Left above the noise of the measurement: {named}."
 
 
@@ -197,7 +222,7 @@ def _named(effects: list[FoundEffect]) -> list[str]:
     """Each effect once, with all the joints it is in, whatever channels show it there."""
     places: dict[tuple[str, str], set[int]] = {}
     for e in effects:
-        key = in_words(e.fitted.name), "" if e.fitted.joint else _where(e)
+        key = _EFFECTS.get(e.fitted.name, in_words(e.fitted.name)), "" if e.fitted.joint else _where(e)
         places.setdefault(key, set()).add(e.fitted.joint)
     return [f"{name} in {where or ('joints ' if len(at) > 1 else 'joint ') + _listed(list(map(str, sorted(at))))}"
             for (name, where), at in places.items()]
@@ -213,8 +238,8 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
     page.heading("What the model lacks")
     effects = (*diagnosis.effects, *diagnosis.unknown)
     rows = [[in_words(e.fitted.name) + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e),
-             e.fitted.channel,
-             *_told(unit_of(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.nats, e.probability,
+             channel_of(diagnosis, e),
+             *_told(unit_of(diagnosis, channel_of(diagnosis, e)), e.rms_before, e.rms_after), e.nats, e.probability,
              "; ".join(p.text for p in e.fitted.parameters), in_words(", ".join(e.indistinguishable_from)) or "–",
              {None: "–", True: "yes", False: "no"}[e.transfers]] for e in effects]
     titles = ["effect", "where", "channel", "error without", "error with", "unit", "nats", "probability",

@@ -37,6 +37,8 @@ def force_replay(result: ForceResult) -> Replay | None:
                   force=sensed_force(robot, recording, rows))
 
 
+_NAMED = {"ideal": "the ideal robot", "adapted": "the ideal robot adapted",
+          "sensor_path": "the path from the force alone", "direct_feedback": "direct force feedback at its best gain"}
 COLOURS = {"ideal": "#e06000", "adapted": "#7d3c98", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
 
 
@@ -45,15 +47,15 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
     f, scene = result.figures, result.scene
     line = result.lateral.get("control_error_mm")
     beside = f", mean distance from the line {line['mean']:.3f} mm" if line else ""
-    page = Report(scene.title, f"The force was {f.rms:.2f} N (RMS) from the {scene.force:g} N wanted, "
-                  f"{f.largest:.1f} N at most{beside}: {result.method} at {scene.speed:g} m/s.")
+    page = Report(scene.title, f"The force differed by {f.rms:.2f} N (RMS) from the wanted {scene.force:g} N; the "
+                  f"largest was {f.largest:.1f} N{beside}. The tool moved at {scene.speed:g} m/s.")
     if result.failure is not None:
         page.warning(result.failure)
     page.figures(result.summary())
+    page.next(*result.next_steps())
     if moving is not None:
         page.heading("The run")
         page.replay(moving, "Green to red: how far the true force is from the wanted one while the tool travels.")
-    page.next(*result.next_steps())
     page.heading("Force and surface")
     page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
                 "travel, which is evaluated. Bottom: height of the true surface and of the undeformed tip, which has "
@@ -78,9 +80,9 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
 def comparison_page(comparison: ForceComparison) -> Report:
     """The page that compares the methods on one scene."""
     scene = comparison.scene
-    shown = ", ".join(f"{run.figures.rms:.2f} N with {in_words(method)}"
+    shown = ", ".join(f"{run.figures.rms:.2f} N with {_NAMED.get(method, in_words(method))}"
                       for method, run in reversed(comparison.runs.items()))
-    page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
+    page = Report(f"{scene.title}: methods compared", f"RMS difference from the wanted force: {shown}.")
     page.next(("Press on a surface of your own.", "ideal-robot new my_surface --kind force"))
     columns, rows = comparison.table()
     if not any(row[-1] for row in rows):
@@ -109,14 +111,14 @@ def comparison_page(comparison: ForceComparison) -> Report:
 def forces_figure(comparison: ForceComparison) -> Figure:
     """The true normal force of each method, one below the other: laid over each other the best could not be seen."""
     runs, wanted = comparison.runs, comparison.scene.force
-    figure = Figure(figsize=(6.5, 0.5 + 1.35 * len(runs)), layout="constrained")
+    figure = Figure(figsize=(4.8, 0.5 + 1.35 * len(runs)), layout="constrained")
     axes = figure.subplots(len(runs), sharex=True, sharey=True, squeeze=False).ravel()
     for axis, (method, run) in zip(axes, runs.items(), strict=True):
         axis.axhline(wanted, color="black", lw=0.7, ls="--")
         rows = extremes(run.history["normal"])
         axis.plot(run.history["t"][rows], run.history["normal"][rows], lw=0.9,
                   color=COLOURS.get(method, "#2b8a3e"))
-        axis.set_title(f"{method}: {run.figures.rms:.2f} N RMS", loc="left", fontsize=9)
+        axis.set_title(f"{in_words(method)}: {run.figures.rms:.2f} N RMS", loc="left", fontsize=9)
         axis.grid(alpha=0.25)
     highest = max(float(np.max(run.history["normal"])) for run in runs.values())
     axes[0].set_ylim(0.0, min(1.1 * highest, 3.0 * wanted))
@@ -148,13 +150,14 @@ def _run_figure(result: ForceResult) -> Figure:
         top.axvspan(travel[0], travel[-1], color="#1f5fa8", alpha=0.07)
     top.set_ylim(0, min(3.2 * result.scene.force, 1.15 * max(result.figures.largest, 1.0)))
     top.set_ylabel("normal force [N]")
-    top.legend(loc="upper right")
+    # Above the picture they hide no curve.
+    top.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     every = step(len(history["t"]))
     seconds = history["t"][::every]
     bottom.plot(seconds, 1e3 * history["height"][::every], color="black", lw=0.9, label="surface")
     bottom.plot(seconds, 1e3 * history["tip"][::every, 2], color=COLOURS["ideal"], lw=0.9, label="undeformed tip")
     bottom.set(xlabel="t [s]", ylabel="height over nominal plane [mm]")
-    bottom.legend(loc="upper right")
+    bottom.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     let_go(*history.values())
     for axis in (top, bottom):
         axis.grid(alpha=0.3)

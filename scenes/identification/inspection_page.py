@@ -10,6 +10,7 @@ import numpy as np
 from ideal_robot.identification.inspection import Inspection
 from ideal_robot.robots.robot import Robot
 from scenes.report.page import Report
+from scenes.verdict import BAD, GOOD, Verdict
 
 
 def inspection_page(found: Inspection, robot: Robot, then: tuple[str, str]) -> Report:
@@ -23,10 +24,12 @@ def inspection_page(found: Inspection, robot: Robot, then: tuple[str, str]) -> R
     recording = found.recording
     verdict = found.refused or ("it does not fit the URDF" if found.contradictions else
                                 "it fits the URDF and can be used")
-    page = Report(f"Recording {Path(recording.source).name} of {robot.name}",
+    page = Report(f"{Path(recording.source).name}, of {robot.name}",
                   f"{verdict[:1].upper()}{verdict[1:]}: {recording.n} joints, {recording.duration:.4g} s at "
                   f"{found.rate:.4g} Hz, longest step {1e3 * found.longest:.3g} ms, "
                   f"{found.gaps or 'no'} gap{'s' * (found.gaps != 1)}.")
+    page.figures([("verdict", Verdict("not usable", BAD) if found.refused else Verdict("does not fit", BAD)
+                   if found.contradictions else Verdict("fits", GOOD))])
     for finding in found.contradictions:
         page.warning(finding.warning)
     if found.refused:
@@ -51,4 +54,4 @@ def ranges_table(found: Inspection) -> tuple[list[str], list[list[Any]]]:
     return (["column", "least", "most", "allowed from", "to", "unit", "fits"],
             [[one.column, one.least, one.most, *(value if np.isfinite(value) else None
                                                  for value in (one.low, one.high)),
-              one.unit, "yes" if one.fits else "no"] for one in found.ranges])
+              one.unit, Verdict("yes", GOOD) if one.fits else Verdict("no", BAD)] for one in found.ranges])

@@ -43,12 +43,12 @@ def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, ke
     errors = joined(predictions).residual_std_percent
     data = "a motion that it was not fitted to" if analysis.validation else "the motion that it was fitted to"
     page = Report(f"Dynamic model of {model.arm.name}",
-                  f"Of the torque of {data} the model leaves {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} %, "
-                  "joint by joint (standard deviations of residual and torque).")
-    for warning in analysis.warnings:
-        page.warning(warning)
+                  f"The residual is {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} % of each joint's torque, "
+                  f"on {data} (standard deviations).")
     _verdicts(page, analysis)
     page.next(*_next_steps(analysis, call, kept))
+    for warning in analysis.warnings:
+        page.warning(warning)
     page.heading("Measured and predicted torque")
     shown = [("unseen", *pair) for pair in zip(analysis.validation, result.validation, strict=True)]
     shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]

@@ -101,7 +101,7 @@ def run_page(result: LineResult, moving: Replay | None) -> Report:
     mm = error.json_mm()
     _, across, turn = result.geometry.displacement
     report = Report(
-        f"{scene.title}: {scene.speed:g} m/s, {result.method}",
+        f"{scene.title} at {scene.speed:g} m/s: {NAMED.get(result.method, in_words(result.method))}",
         f"The tool stayed {mm['mean']:.3f} mm from the line on average, 95 % of the way within {mm['p95']:.3f} mm.")
     if result.failure:
         report.warning(f"The run ended early: {result.failure}")
@@ -109,10 +109,10 @@ def run_page(result: LineResult, moving: Replay | None) -> Report:
         report.warning(result.warning)
     report.figures([("mean distance from the line", f"{mm['mean']:.3f} mm"), ("95 % within", f"{mm['p95']:.3f} mm"),
                     ("largest", f"{mm['max']:.3f} mm")])
+    report.next(*result.next_steps())
     if moving is not None:
         report.heading("The run")
         report.replay(moving, "Green to red: distance of the tool from the drawn line; the pale part is still to come.")
-    report.next(*result.next_steps())
     report.heading("Errors", folded=True)
     report.text(f"The drawn line was moved {1e3 * abs(across):.1f} mm sideways and turned by "
                 f"{np.degrees(abs(turn)):.2f}° from where the scene file puts it; pictures arrived "
@@ -182,11 +182,11 @@ def comparison_page(comparison: LineComparison) -> Report:
                       for method in ("adapted", "ideal", "sensor_path", "direct_feedback", "none") if method in runs)
     report = Report(f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
                     f"Mean distance from the line: {shown}." if shown else "")
+    report.next(*next(iter(runs.values())).next_steps()[1:])
     best = next((method for method in ("adapted", "ideal") if method in runs), None)
     others = [method for method in ("direct_feedback", "none") if method in runs][:1]
     if best is not None and others:
         _moving_beside(report, comparison, (*others, best))
-    report.next(*next(iter(runs.values())).next_steps()[1:])
     report.heading("All methods")
     columns, rows = comparison.table()
     report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")

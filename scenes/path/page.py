@@ -44,9 +44,10 @@ TRACED = ("none", "precorrected-printed", "precorrected", "ideal")
 _MOVING = "Green to red: how far the tool is from where it should be at the time; the pale part is still to come."
 MAGNIFIED = 50
 """Factor on deviations in pictures of paths."""
+_KINDS = ("Time-matched: against the desired position at the same instant. Aligned: after removing one constant delay. "
+          "Geometric: distance to the path.")
 DEFINITION = (
-    "Time-matched: against the desired position at the same instant. Aligned: after removing one constant delay. "
-    "Geometric: distance to the path. 'Less %' is the reduction against no correction without delay, of the weaker of "
+    f"{_KINDS} 'Less %' is the reduction against no correction without delay, of the weaker of "
     "time-matched and aligned; 'motors' E_car less %' is that of the aligned E_car that motor angles show, which is "
     "what the paper could measure: elastic gears are invisible to it.")
 _SHORT = ("E_car is a root mean square, E_max the largest deviation of the tool; aligned: one constant delay removed. "
@@ -58,14 +59,16 @@ _SHORT = ("E_car is a root mean square, E_max the largest deviation of the tool;
 def run_page(result: PathResult, moving: Replay | None) -> Report:
     """The page of one run, with its replay where there is one."""
     e = result.errors
-    report = Report(f"{result.scene.title}: {result.method}",
+    named = {"none": "no correction", "ideal": "the ideal robot", "adapted": "the ideal robot adapted"}
+    report = Report(f"{result.scene.title}: {named.get(result.method, result.method)}",
                     f"The tool was {1e3 * e.time_matched.E_car:.3f} mm from where it should have been at the time "
                     f"(root mean square), at most {1e3 * e.time_matched.E_max:.3f} mm.")
     report.figures([*result.summary()[2:]])
+    report.text(f"E_car is a root mean square, E_max the largest deviation of the tool. {_KINDS}")
+    report.next(*result.next_steps())
     if moving is not None:
         report.heading("The run")
         report.replay(moving, _MOVING)
-    report.next(*result.next_steps())
     report.heading("Path and deviation", folded=True)
     report.figure(path_figure([result]), f"The path, deviations drawn {MAGNIFIED} times their size.")
     report.figure(deviation_figure([result], "time_matched"), "Deviation over time.")
@@ -85,13 +88,13 @@ def comparison_page(comparison: PathComparison) -> Report:
         summary += (f", {1e3 * runs['ideal'].errors.aligned.E_car:.3g} mm with the ideal robot, which learned nothing "
                     "on it")
     report = Report(f"{scene.title}: several methods", f"{summary}.")
+    report.next(*comparison.reference.next_steps()[1:])
     played = [path_replay(runs[method]) for method in ("none", "ideal") if method in runs]
     moving = [replay for replay in played if replay is not None]
     if len(moving) == 2:
         report.heading("The ideal robot, and without correction")
         titles = ("Without correction", "The ideal robot")
         report.replays(list(zip(titles, enlarged_alike(moving), strict=True)), _MOVING)
-    report.next(*comparison.reference.next_steps()[1:])
     report.heading("Errors of all methods")
     columns, rows = comparison.table()
     late = [row for row in rows if str(row[0]).endswith(DELAY)]
@@ -123,7 +126,7 @@ def _chosen(runs: dict[str, PathResult], methods: tuple[str, ...], suffix: str) 
 def path_figure(results: list[PathResult]) -> Figure:
     """Desired path and magnified deviations in the plane of the path."""
     # Small enough for its letters to be read on a phone's width.
-    figure = Figure(figsize=(5.4, 5.6), layout="constrained")
+    figure = Figure(figsize=(4.6, 4.8), layout="constrained")
     axes = figure.add_subplot()
     path = results[0].path
     x_d, t = path.x_d[path.counts], path.t[path.counts]
@@ -158,14 +161,14 @@ def deviation_figure(results: list[PathResult], kind: str) -> Figure:
     axes.set(xlabel="time [s]", ylabel="deviation [mm]")
     axes.set_ylim(bottom=5e-3)
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     _plain(axes)
     return figure
 
 
 def learning_figure(comparison: PathComparison) -> Figure:
     """Error of each play of learning, beside what the model-based methods reach without any."""
-    figure = Figure(figsize=(5.4, 3.2))
+    figure = Figure(figsize=(4.6, 3.2))
     axes = figure.add_subplot()
     plays = ["none", *(f"learned-{p}" for p in range(1, 4)), "learned"]
     values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays if method in comparison.runs]
@@ -176,7 +179,7 @@ def learning_figure(comparison: PathComparison) -> Figure:
                      label=method)
     axes.set_xticks(range(len(values)))
     axes.set(xlabel="learning steps on the arm", ylabel="E_car, time-matched [mm]")
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=9, frameon=False)
     _plain(axes)
     return figure
 
@@ -187,4 +190,4 @@ def _colour(result: PathResult) -> str:
 
 def _plain(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=8)
+    axes.tick_params(labelsize=9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,13 +111,15 @@ def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None)
     return columns, [[i + 1, *(1e3 * float(value[i]) for value in values)] for i in range(result.q_d.shape[1])]
 
 
-def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Array] | None = None) -> Path:
+def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Array] | None = None,
+               corrected: str | Path = "CORRECTED.csv") -> Path:
     """The page about a corrected path.
 
     Args:
         result: the corrected path.
         path: of the page.
         measured: errors with the corrected path and without, where it was played ``(N, n)`` each [rad].
+        corrected: file of the corrected path, for the command of what to do next.
     """
     after, before = (1e3 * float(np.max(rms)) for rms in result.expected_rms)
     unit = one_unit(result.units)
@@ -125,6 +128,8 @@ def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Arra
                     f"on the worst joint with the corrected path, {before:.2f} {unit} without."
                     + ("" if result.reach is None else " The controller was not identified: within its spread the "
                        f"corrected path leaves up to {1e3 * float(result.reach.max()):.2f} {unit}."))
+    report.next(("Play the corrected path on an arm behind its maker's interface.",
+                 f"ideal-robot play {shlex.quote(str(corrected))} --arm ADDRESS"))
     report.table(*table(result, measured))
     figure = Figure(figsize=(9.0, 4.0))
     axes = figure.add_subplot()
@@ -132,6 +137,6 @@ def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Arra
         axes.plot(result.t, 1e3 * (result.q_c[:, i] - result.q_d[:, i]), lw=1, label=f"joint {i + 1}")
     axes.set(xlabel="time [s]", ylabel=f"correction [{unit}]")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(fontsize=8, frameon=False, ncols=3)
+    axes.legend(fontsize=9, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     report.figure(figure, "Command minus desired position.")
     return report.write(path)

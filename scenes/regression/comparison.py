@@ -140,6 +140,9 @@ class Comparison(Summarised):
     @property
     def headline(self) -> str:
         """The verdict in words; what was looked at where there was no baseline."""
+        rose = any(row.verdict == WORSE for row in self.rows) or self.not_played
+        if self.before is not None and self.verdict == WORSE and not self.bounds_kept and not rose:
+            return "bounds missed"
         if self.before is not None or self.not_played or self.verdict == FAILED:
             return self.verdict
         if not self.bounds:

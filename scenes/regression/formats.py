@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
-from ideal_robot.registry import in_words
 from ideal_robot.results import plain
 from ideal_robot.whole_file import whole_file, write_text
 from scenes.outputs import whole_folder
-from scenes.regression.comparison import FAILURES, SUITE, Comparison
+from scenes.regression.comparison import FAILURES, SUITE, Comparison, labelled
 from scenes.regression.history_page import run_command
 from scenes.regression.paired import FAILED, NOT_COMPARABLE, SAME, WORSE, Row
-from scenes.regression.results import CASE, unit_of
+from scenes.regression.results import CASE, figure_in_words, unit_of
 from scenes.report.page import Report, write_json
 from scenes.verdict import BAD, GOOD, OPEN, Verdict
 
@@ -127,16 +126,6 @@ def sentence(row: Row) -> str:
             f"{sure}")
 
 
-def figure_in_words(figure: str) -> str:
-    """A figure's key as words, its unit left out.
-
-    >>> figure_in_words("path_error_mm.time_matched.E_car")
-    'path error, time matched, E_car'
-    """
-    parts = [part.removesuffix(f"_{unit_of(figure)}") for part in figure.split(".")]
-    return ", ".join(part if part.startswith("E_") else in_words(part) for part in parts)
-
-
 def answer(comparison: Comparison) -> str:
     """The verdict in a sentence with its number."""
     worst = comparison.worst
@@ -147,9 +136,9 @@ def answer(comparison: Comparison) -> str:
         return (f"{worst.case}: {figure_in_words(worst.figure)} rose from {worst.before:.3g} to {worst.after:.3g} "
                 f"{unit}".rstrip() + f" ({by}).")
     if missed is not None:
-        unit = unit_of(missed.figure) or ""
-        return (f"{missed.case}: {figure_in_words(missed.figure)} is {missed.mean:.3g} {unit}".rstrip()
-                + f", its bound {missed.limit:.3g}.")
+        unit = f" {unit_of(missed.figure) or ''}".rstrip()
+        return (f"{missed.case}: {figure_in_words(missed.figure)} is {missed.mean:.3g}{unit}, its bound "
+                f"{missed.limit:.3g}{unit}.")
     if comparison.uncompared:
         return f"Nothing to compare with: {'; '.join(comparison.uncompared)}."
     compared = sum(row.verdict != NOT_COMPARABLE for row in comparison.rows)
@@ -170,6 +159,11 @@ def next_steps(comparison: Comparison) -> list[tuple[str, str]]:
             begin = f"git bisect start HEAD {good.removesuffix('-dirty')}"
             steps.append(("Find the commit that did it.", f"{begin}\ngit bisect run ideal-robot check {suite}"))
         return steps
+    missed = next((bound for bound in comparison.bounds if not bound.kept), None)
+    if missed is not None:
+        run = next((row for row in labelled(comparison.after).to_dict("records") if row["label"] == missed.case), None)
+        return [] if run is None else [("Look at a run of the case that misses its bound.",
+                                        run_command(run, comparison.places.get(str(run["scene"]))))]
     if comparison.uncompared and suite is not None:
         return [("Take these runs as the baseline.", f"ideal-robot check {suite} --update-baseline")]
     return []
@@ -181,20 +175,26 @@ def page(comparison: Comparison) -> Report:
     kept = sum(bound.kept for bound in comparison.bounds)
     report.figures([("verdict", Verdict(comparison.headline, _kind(comparison))),
                     ("runs", str(len(comparison.after.runs))), ("figures compared", str(len(comparison.rows))),
-                    ("bounds kept", Verdict(f"{kept} of {len(comparison.bounds)}",
-                                            GOOD if kept == len(comparison.bounds) else BAD))])
+                    *([("bounds kept", Verdict(f"{kept} of {len(comparison.bounds)}",
+                                               GOOD if kept == len(comparison.bounds) else BAD))]
+                      if comparison.bounds else [])])
+    if steps := next_steps(comparison):
+        report.next(*steps)
     if comparison.pairs is not None and (drawn := picture(comparison)) is not None:
         report.figure(drawn, "Left: each pair's error before and after; on the line nothing changed. Right: each "
                              "pair's relative difference, with the mean of the case and its 95 % interval; right of "
                              "zero is worse.")
-    if steps := next_steps(comparison):
-        report.next(*steps)
-    report.heading("What changed")
-    report.table(*comparison.table(), caption="p is corrected for all figures looked at (Holm). Differences of the row "
+    columns, changed = comparison.table()
+    if changed:
+        report.heading("What changed")
+        report.table(columns, _read(changed), "p is corrected for all figures looked at (Holm). Differences of the row "
                                               "of all cases are relative.")
     if comparison.bounds:
         report.heading("Bounds")
-        report.table(*bounds_table(comparison))
+        columns, bounds = bounds_table(comparison)
+        report.table(columns, _read(bounds))
+    if not comparison.rows:
+        return report
     report.heading("All figures")
     report.table(["case", "figure", "pairs", "before", "after", "difference", "standard error", "p",
                   "would be found", "verdict"],
@@ -202,6 +202,12 @@ def page(comparison: Comparison) -> Report:
                    row.finds, Verdict(row.verdict)] for row in comparison.rows], folded="every figure of every case",
                  caption="A difference as large as the column says would be found in nine of ten comparisons.")
     return report
+
+
+def _read(rows: list[list[Any]]) -> list[list[Any]]:
+    """Rows of case and figure with the figure's name and unit as a person reads them."""
+    return [[case, figure_in_words(figure) + (f" [{unit}]" if (unit := unit_of(figure)) else ""), *others]
+            for case, figure, *others in rows]
 
 
 def _kind(comparison: Comparison) -> str:
@@ -240,6 +246,7 @@ def picture(comparison: Comparison) -> Figure | None:
         spread = float(stats.sem(share) * stats.t.ppf(0.975, len(share) - 1)) if len(share) > 1 else 0.0
         right.errorbar(float(share.mean()), i, xerr=spread, fmt="k|", capsize=3.0)
     unit = unit_of(name) or "1"
+    left.locator_params(nbins=5)
     left.set(title=figure_in_words(name), xlabel=f"before [{unit}]", ylabel=f"after [{unit}]")
     right.axvline(0.0, color="0.6", lw=1.0)
     right.set_yticks(range(len(groups)), [group[0] for group in groups])

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from scenes.regression.history import Course, History
 from scenes.regression.replays import replay_place, word_of
-from scenes.regression.results import unit_of
+from scenes.regression.results import figure_in_words, unit_of
 from scenes.report.page import Report
 from scenes.report.replay import KeptReplay
-from scenes.verdict import BAD, GOOD, Verdict
+from scenes.verdict import BAD, GOOD, OPEN, Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,12 +41,14 @@ def history_page(history: History, folders: Sequence[Path]) -> Report:
     """The page; replays come from the data sets ``folders``."""
     report = Report("Path error over versions", history.headline + ".")
     worse = len(history.worse)
-    report.figures([("verdict", Verdict("worse" if worse else "as good as the best", BAD if worse else GOOD)),
+    alone = len(history.versions) == 1
+    report.figures([("verdict", Verdict("first version", OPEN) if alone else
+                     Verdict("worse" if worse else "as good as the best", BAD if worse else GOOD)),
                     ("versions", str(len(history.versions))),
                     ("figures worse than their best", f"{worse} of {len(history.courses)}")])
+    report.next(*next_steps(history))
     report.figure(picture(history), "Mean over the seeds with its standard error, a point a seed, a colour a computer. "
                                     "Green ring: the best version; red ring: the newest, where it is worse.")
-    report.next(*next_steps(history))
     for course in history.worse[:1]:
         replays = replays_of(course, folders)
         if replays:
@@ -116,8 +118,12 @@ def picture(history: History) -> Figure:
         if course.since is not None:
             panel.plot(len(course.versions) - 1, course.means[-1], "o", markeredgecolor="#c0261c", **ring)
         panel.set_title(course.case, fontsize=10.0)
-        panel.set_ylabel(course.figure, fontsize=9.0)
-        panel.set_ylim(bottom=0.0)
+        # A word a line: the name in one line is longer than the panel is high.
+        unit = unit_of(course.figure)
+        words = figure_in_words(course.figure).replace(", ", "\n")
+        panel.set_ylabel(f"{words} [{unit}]" if unit else words, fontsize=9.0)
+        # Room for the ring about the topmost point.
+        panel.set_ylim(0.0, 1.15 * panel.get_ylim()[1])
         panel.set_xticks(range(len(course.versions)), [version.name[:16] for version in course.versions], rotation=30.0,
                          ha="right", fontsize=8.0)
     for panel in panels.ravel()[len(courses):]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ideal_robot.bounded_values import parsed_json, read_json, read_text
 from ideal_robot.errors import InputError, did_you_mean
+from ideal_robot.registry import in_words
 from ideal_robot.results import flat, plain
 from ideal_robot.whole_file import OutputError, whole_file
 from scenes.program import ORIGIN, PLACES, SCHEMA, TIMES, machine, origin, program
@@ -44,6 +45,16 @@ def unit_of(figure: str) -> str | None:
     """
     units = re.findall(r"_(mm|N|ms|s)(?=\.|$)", figure)
     return units[-1] if units else None
+
+
+def figure_in_words(figure: str) -> str:
+    """A figure's key as words, its unit left out.
+
+    >>> figure_in_words("path_error_mm.time_matched.E_car")
+    'path error, time matched, E_car'
+    """
+    parts = [part.removesuffix(f"_{unit_of(figure)}") for part in figure.split(".")]
+    return ", ".join(part if part.startswith("E_") else in_words(part) for part in parts)
 
 
 @dataclass(frozen=True)

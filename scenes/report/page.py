@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
     from sensing.camera.hand_eye import HandEye
 
-_PHONE = 7.0
-"""Width of a figure from which on it is scrolled on a phone instead of made smaller [inch]."""
+_PHONE, _SCROLLED = 5.0, 720
+"""Figures wider than that [inch] are scrolled on a phone instead of made smaller, and then so wide at most [px]."""
 _SVG_MAX = 600_000
 """Drawings of more bytes than that (clouds of points) are embedded as pixels."""
 _CORRECTIONS = {"roll": ("°", 57.2958), "pitch": ("°", 57.2958), "yaw": ("°", 57.2958), "height": ("mm", 1e3),
@@ -67,8 +68,12 @@ class Report:
         self._blocks.append({"kind": "text", "text": text})
 
     def warning(self, text: str) -> None:
-        """A paragraph that must not be overlooked."""
-        self._blocks.append({"kind": "warning", "text": text})
+        """A paragraph that must not be overlooked; a code before a colon (``joint-never-moves: …``) is put in words."""
+        code = re.match(r"[a-z]+(-[a-z]+)+(?=: )", text)
+        text = text if code is None else code[0].replace("-", " ") + text[code.end():]
+        # The name of a file, or of a channel, stays as it is.
+        begins = text.partition(" ")[0].rstrip(":,").isalpha()
+        self._blocks.append({"kind": "warning", "text": f"{text[:1].upper()}{text[1:]}" if begins else text})
 
     def figures(self, items: list[tuple[str, str]]) -> None:
         """Key figures as tiles: ``[(label, value with unit), …]``."""
@@ -98,7 +103,7 @@ class Report:
         """
         from matplotlib import rc_context, rcParams
 
-        wide = figure.get_figwidth() > _PHONE
+        wide = min(_SCROLLED, round(96.0 * figure.get_figwidth())) if figure.get_figwidth() > _PHONE else 0
         # Laid out and measured here: saving would draw all of it once more for that.
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
@@ -121,7 +126,7 @@ class Report:
         """A PNG image, with the sentence that says what to see in it."""
         self._embed(png, "png", caption)
 
-    def _embed(self, data: bytes, kind: str, caption: str, wide: bool = False, folded: str = "") -> None:
+    def _embed(self, data: bytes, kind: str, caption: str, wide: int = 0, folded: str = "") -> None:
         self._blocks.append({"kind": "image", "data": base64.b64encode(data).decode("ascii"), "type": kind,
                              "caption": caption, "wide": wide, "folded": folded})
 
@@ -146,7 +151,7 @@ class Report:
             f"camera as mounted by hand, and {1e3 * camera.residual_after:.3f} mm with the camera as calibrated. Where "
             f"the middle of its view lies across the travel is known to ± {1e3 * camera.across():.3f} mm.")
         self.table(["correction found", "value", "± σ", "unit"],
-                   [[name, camera.parameters[name] * scale, camera.sigma[name] * scale, unit]
+                   [[in_words(name), camera.parameters[name] * scale, camera.sigma[name] * scale, unit]
                     for name, (unit, scale) in _CORRECTIONS.items() if name in camera.parameters])
 
     def write(self, path: str | Path) -> Path:

@@ -30,8 +30,13 @@ host.dataset.frames = DATA.t.length;
 let yaw = 0.9, pitch = 0.42, zoom = 1, k = 0;
 const all = DATA.tool.concat(...Object.values(DATA.curves));
 let low = [0, 0, 0], high = [0.2, 0.2, 0.9];
-for (const p of all) for (let a = 0; a < 3; a++) { low[a] = Math.min(low[a], p[a]); high[a] = Math.max(high[a], p[a]); }
-for (const i of [0, Math.floor(DATA.t.length / 2), DATA.t.length - 1]) for (const T of DATA.links[i]) for (let a = 0; a < 3; a++) { low[a] = Math.min(low[a], T[9 + a] - 0.1); high[a] = Math.max(high[a], T[9 + a] + 0.15); }
+// Corners of the arm's shapes where it begins, in between and where it ends: all of them are to be seen.
+const seen = all.slice();
+for (const i of [0, 0.3, 0.6, 1].map(x => Math.floor(x * (DATA.t.length - 1)))) for (const shape of DATA.shapes) {
+  const T = DATA.links[i][shape.link];
+  for (const face of shape.faces) for (const p of face) seen.push([0, 1, 2].map(a => T[3 * a] * p[0] + T[3 * a + 1] * p[1] + T[3 * a + 2] * p[2] + T[9 + a]));
+}
+for (const p of seen) for (let a = 0; a < 3; a++) { low[a] = Math.min(low[a], p[a]); high[a] = Math.max(high[a], p[a]); }
 const centre = low.map((v, a) => 0.5 * (v + high[a])), size = Math.hypot(...high.map((v, a) => v - low[a]));
 const known = DATA.error.filter(e => e !== null), largest = Math.max(...known.map(Math.abs), 1e-9);
 
@@ -39,9 +44,9 @@ const forces = (DATA.force || []).map(f => Math.hypot(...f)).sort((a, b) => a - 
 const perNewton = forces.length ? 0.25 / Math.max(forces[Math.floor(0.99 * (forces.length - 1))], 1e-9) : 0;
 function curveColour(i) { return [C.ink, C.blue, "#784ea0", "#2b8a3e"][i % 4]; }
 const legend = element("div", scene.parentNode, { font: "13px system-ui" });
-Object.keys(DATA.curves).forEach((name, i) => { const s = element("span", legend, { color: curveColour(i), marginRight: "14px" }); s.textContent = "— " + name; });
-{ const s = element("span", legend, { color: "#2b8a3e", marginRight: "14px" }); s.textContent = "— tool, green to red: " + DATA.errorName; }
-if (DATA.force) { const s = element("span", legend, { color: C.blue }); s.textContent = "→ force on the tool"; }
+Object.keys(DATA.curves).forEach((name, i) => { const s = element("span", legend, { color: curveColour(i), marginRight: "14px", display: "inline-block" }); s.textContent = "— " + name; });
+{ const s = element("span", legend, { color: "#2b8a3e", marginRight: "14px", display: "inline-block" }); s.textContent = "— tool, green to red: " + DATA.errorName; }
+if (DATA.force) { const s = element("span", legend, { color: C.blue, display: "inline-block" }); s.textContent = "→ force on the tool"; }
 function sized(canvas) {
   const r = window.devicePixelRatio || 1, w = Math.max(1, Math.round(canvas.clientWidth * r)), h = Math.max(1, Math.round(canvas.clientHeight * r));
   if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
@@ -58,6 +63,11 @@ function camera(w, h) {
     const s = f / Math.max(z, 0.05);
     return [w / 2 + s * (d[0] * right[0] + d[1] * right[1]), h / 2 - s * (d[0] * up[0] + d[1] * up[1] + d[2] * up[2]), z];
   };
+}
+// As near as all that is to be seen allows, beginning from where the arm and its path just fit.
+for (let i = 0; i < 4; i++) {
+  const see = camera(4, 3), out = Math.max(...seen.map(p => { const s = see(p); return Math.max(Math.abs(s[0] - 2) / 2, Math.abs(s[1] - 1.5) / 1.5); }));
+  zoom *= 0.96 / out;
 }
 function colour(e) { if (e === null) return C.soft; const x = Math.min(1, Math.abs(e) / largest); return `hsl(${Math.round(130 * (1 - x))},75%,42%)`; }
 function polyline(g, points, style, width) {
