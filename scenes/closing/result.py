@@ -188,7 +188,7 @@ class Closing(ShownTable):
             page.table(["what a diagnosis names and the model does not get"], [[refused] for refused in refusals])
         self.section(page)
         if self.diagnosis is not None:
-            page.heading("The first diagnosis", folded=True)
+            page.heading("The first diagnosis")
             page.text(summary(self.diagnosis))
             add_diagnosis(page, self.diagnosis)
         return page
