@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -68,10 +67,8 @@ class Report:
         self._blocks.append({"kind": "text", "text": text})
 
     def warning(self, text: str) -> None:
-        """A paragraph that must not be overlooked; a code before a colon (``joint-never-moves: …``) is put in words."""
-        code = re.match(r"[a-z]+(-[a-z]+)+(?=: )", text)
-        text = text if code is None else code[0].replace("-", " ") + text[code.end():]
-        # The name of a file, or of a channel, stays as it is.
+        """A paragraph that must not be overlooked."""
+        # A code that the documentation names, a file or a channel stays as it is.
         begins = text.partition(" ")[0].rstrip(":,").isalpha()
         self._blocks.append({"kind": "warning", "text": f"{text[:1].upper()}{text[1:]}" if begins else text})
 

@@ -313,7 +313,7 @@ def test_each_method_has_a_panel_with_its_error_on_one_scale() -> None:
                for method, size in (("direct_feedback", 6.0), ("ideal", 1.0), ("adapted", 1.0))}
     figure = forces_figure(SimpleNamespace(runs=runs, scene=SimpleNamespace(force=20.0)))  # type: ignore[arg-type]
     titles = [axis.get_title(loc="left") for axis in figure.axes]
-    assert titles == ["direct_feedback: 4.24 N RMS", "ideal: 0.71 N RMS", "adapted: 0.71 N RMS"]
+    assert titles == ["direct feedback: 4.24 N RMS", "ideal: 0.71 N RMS", "adapted: 0.71 N RMS"]
     assert len({axis.get_ylim() for axis in figure.axes}) == 1
     assert figure.axes[0].get_ylim()[1] < 30.0
 
