@@ -146,6 +146,7 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
     report = Report(title, _summary(analysis, truth))
     for warning in analysis.warnings:
         report.warning(warning)
+    report.next(("See what stiffness from such recordings brings on a path.", "ideal-robot close-loop close_clamped"))
     report.heading("Stiffness")
     columns = ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "%σ offset", "‖Wχ−Y‖/‖Y‖ [%]", "95 % interval"]
     rows = []

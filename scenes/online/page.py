@@ -14,6 +14,10 @@ from ideal_robot.results import flat
 from scenes.online.result import FollowResult
 from scenes.report.page import Report, write_run_files
 from scenes.report.replay import Replay
+from scenes.verdict import BAD, GOOD, Verdict
+
+_TILE = 20
+"""Letters that a tile has room for; what is longer stands in a table."""
 
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
@@ -30,12 +34,16 @@ def _page(result: FollowResult, _: Replay | None) -> Report:
     if result.left_behind is not None:
         page.warning(f"A run before this one was killed; what it did until then is in {result.left_behind}.")
     # What processes and clocks did stands with the devices and the timing.
-    page.figures([(label, value) for label, value in result.summary()
-                  if not label.startswith(("clock of", "both together")) and not label.endswith("process")])
+    said = [(label, value) for label, value in result.summary()
+            if not label.startswith(("clock of", "both together")) and not label.endswith("process")]
+    page.figures([("verdict", Verdict("ended early", BAD) if result.failure else Verdict("whole path", GOOD)),
+                  *(pair for pair in said if len(pair[1]) <= _TILE)])
+    page.next(*result.next_steps())
     page.figure(_motion(result), "Top: how far beside the reference path the tool was planned to be. Middle: commanded "
                 "joint speeds. Bottom: desired position of the arm minus motor angle, which is all that a controller "
                 "tells: the gears' deflection is in it.")
-    page.next(*result.next_steps())
+    if sentences := [[label, value] for label, value in said if len(value) > _TILE]:
+        page.table(["checked", "result"], sentences)
     page.heading("Scene", folded=True)
     page.text(result.scene.description)
     page.heading("Devices", folded=True)
@@ -59,7 +67,8 @@ def _motion(result: FollowResult) -> Figure:
         for j in range(q_c.shape[1]):
             middle.plot(t, speeds[:, j], lw=0.8, label=f"joint {j + 1}")
             bottom.plot(t, off[:, j], lw=0.8)
-        middle.legend(ncols=6, fontsize=7, frameon=False)
+        # Above the picture it hides no curve.
+        middle.legend(ncols=6, fontsize=9, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     middle.set_ylabel("speed [rad/s]")
     bottom.set(ylabel="off [mrad]", xlabel="controller's time [s]")
     return figure

@@ -166,7 +166,11 @@ def next_steps(comparison: Comparison) -> list[tuple[str, str]]:
                                         run_command(run, comparison.places.get(str(run["scene"]))))]
     if comparison.uncompared and suite is not None:
         return [("Take these runs as the baseline.", f"ideal-robot check {suite} --update-baseline")]
-    return []
+    if suite is not None:
+        return [("Keep the runs of every night: their history shows what rises slowly.",
+                 f"ideal-robot check {suite} --runs FOLDER --resume")]
+    return [("Find smaller differences: play both with more seeds.",
+             "ideal-robot sweep SCENE --seeds 1-10 --json after.json")]
 
 
 def page(comparison: Comparison) -> Report:
