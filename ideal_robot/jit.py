@@ -61,7 +61,7 @@ def meaning(function: FunctionType) -> str:
         code = codes.pop()
         codes += [c for c in code.co_consts if isinstance(c, CodeType)]
         numbers = [c for c in code.co_consts if not isinstance(c, CodeType) and c != function.__doc__]
-        digest.update(code.co_code + repr(numbers).encode())
+        digest.update(code.co_code + " ".join(map(_repeated, numbers)).encode())
         values |= {name: function.__globals__[name] for name in code.co_names if name in function.__globals__}
         digest.update(repr(code.co_names).encode())
     digest.update(repr(function.__defaults__).encode())
@@ -79,12 +79,18 @@ def _told(user: FunctionType, value: Any) -> str:
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, type):
         return f"{value.__qualname__} {getattr(value, '_fields', '')}"
-    return getattr(value, "__name__", None) or repr(value)
+    return getattr(value, "__name__", None) or _repeated(value)
+
+
+def _repeated(value: Any) -> str:
+    """The value as text that is the same in every process: the ``repr`` of a set of words has them in any order."""
+    return repr(sorted(value) if isinstance(value, (set, frozenset)) else value)
 
 
 def _compiled_from(dispatcher: Dispatcher) -> str:
     """What a compiled function means, and how it is compiled: whether it is written into its callers, and rounding."""
-    return f"{meaning(dispatcher.py_func)} {sorted(dispatcher.targetoptions.items())}"
+    options = {name: _repeated(value) for name, value in dispatcher.targetoptions.items()}
+    return f"{meaning(dispatcher.py_func)} {sorted(options.items())}"
 
 
 class _Beside(_IN_TREE):  # type: ignore[valid-type, misc]

@@ -216,7 +216,7 @@ class BulletCamera(RenderedCamera):
             number = self._body(folder, f"surface{first}", lines, self.surface.plane, colour)
             # Packed, the picture would take twice as long to write and read.
             image = folder / f"surface{first}.bmp"
-            image.write_bytes(cv2.imencode(".bmp", texture.image[:, left:right])[1].tobytes())
+            image.write_bytes(cv2.imencode(".bmp", texture.image[:, left:right])[1].data)
             identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
             pybullet.changeVisualShape(number, -1, textureUniqueId=identifier, physicsClientId=self._client)
             self._pieces.append(Body(number, self._client, colour))

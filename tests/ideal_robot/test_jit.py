@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -107,6 +109,22 @@ def test_code_made_with_what_another_file_names_ends_with_it(source: Path, alter
         expected = other_numbers.doubled.py_func(3.0)
         assert expected != 23.0
         assert (other_numbers.doubled(3.0), hits(other_numbers)) == (expected, 0)
+
+
+def test_code_is_found_by_every_process_whatever_order_sets_of_words_have_there(source: Path) -> None:
+    """Options of the compiler and numbers that a function looks in are sets; text of one has its words in any order."""
+    source.write_text("from ideal_robot.jit import jit\nKINDS = frozenset({'up', 'down', 'left', 'right'})\n"
+                      "@jit(fastmath={'reassoc', 'contract', 'nnan', 'ninf'})\ndef doubled(x):\n    return 2.0 * x\n"
+                      "def named():\n    return KINDS, {}.get('a') in {'north', 'south', 'east', 'west'}\n",
+                      encoding="utf-8")
+    code = ("import compiled_here as c; from ideal_robot.jit import meaning; "
+            "print(c.doubled(3.0), sum(c.doubled.stats.cache_hits.values()), meaning(c.named))")
+    path = os.pathsep.join([str(source.parent), *sys.path])
+    first, *others = (subprocess.run([sys.executable, "-c", code], env=os.environ | {
+        "PYTHONHASHSEED": str(seed), "PYTHONPATH": path}, capture_output=True, text=True, check=True).stdout.split()
+        for seed in range(1, 5))
+    assert first[1] == "0"
+    assert others == [[first[0], "1", first[2]]] * 3
 
 
 def test_where_nothing_can_be_written_code_that_is_there_is_used(source: Path, monkeypatch) -> None:
