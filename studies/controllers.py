@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from studies.report import head, row
 
 REST = 1.0
 """Rest before a path [s]."""
+HALF, OF_PLAIN, AS_EXPECTED = 0.5, 0.03, (0.7, 1.4)
+"""What is asked for: with torques, of the regression's error or of the plain path's; measured over expected."""
 
 
 def controllers(robot: str = "kr6", seed: int = 1, cycle: float = 0.004, kind: str = "", engine: str = "plain",
@@ -30,13 +33,14 @@ def controllers(robot: str = "kr6", seed: int = 1, cycle: float = 0.004, kind: s
 
     Each arm plays one motion of 20 s, from which the law is identified, then another path of 8 s, plainly and
     corrected. Behind each measured error stands measured over expected. The last column is a regression of
-    ``q_c - q`` on velocity, acceleration, jerk and direction.
+    ``q_c - q`` on velocity, acceleration, jerk and direction. Of drawn arms a last line counts how many are left with
+    what was asked for, and in how many rows the errors are as expected.
 
     Args:
         robot: shipped arm or URDF.
         seed: of motions and noise.
         cycle: from command to command, and of the log [s].
-        kind: one of them alone; all if empty.
+        kind: of these alone, with commas between; all if empty.
         engine: plain or mujoco.
         draws: arms with gains, lateness, friction, bodies and encoder drawn at random; 0 for the usual one.
         elastic: gears as springs; MuJoCo's alone.
@@ -44,31 +48,68 @@ def controllers(robot: str = "kr6", seed: int = 1, cycle: float = 0.004, kind: s
     arm = dataclasses.replace(Robot.load(robot), t_ipo=cycle)
     head("controller", "plain path [mrad]", "over expected", "with torques", "over expected", "angles alone",
          "over expected", "regression")
-    for name in [kind] if kind else list(KINDS):
+    errors: list[_Errors] = []
+    for name in kind.split(",") if kind else KINDS:
         for draw in range(max(draws, 1)):
             rng = np.random.default_rng(seed + 1000 * draw)
             plant = Plant(arm, name, USUAL[name], engine=engine, elastic=elastic) if not draws else Plant(
                 arm, name, drawn(name, rng), float(rng.uniform(0.03, 0.2)), float(rng.uniform(0.9, 1.1)),
                 float(10.0 ** rng.uniform(-6.0, -4.3)), engine=engine, elastic=elastic)
-            _one(name, plant, arm, rng)
+            errors.append(_one(name, plant, arm, rng))
+    if draws:
+        _counted(errors)
 
 
-def _one(name: str, plant: Plant, arm: Robot, rng: np.random.Generator) -> None:
+@dataclass(frozen=True)
+class _Errors:
+    """Errors of one arm's path [mrad], NaN where the program refused; measured over expected behind them.
+
+    Attributes:
+        plain, torques, alone, regression: as it is, corrected with torques and without, and by the regression.
+        over: measured over expected, with torques and without ``(2,)``.
+    """
+
+    plain: float
+    torques: float
+    alone: float
+    regression: float
+    over: tuple[float, float]
+
+
+def _counted(errors: Sequence[_Errors]) -> None:
+    """Prints how many arms are left with what was asked for."""
+    halved = sum(e.torques <= max(HALF * e.regression, OF_PLAIN * e.plain) for e in errors)
+    beaten = [e.alone / e.regression for e in errors]
+    over = np.array([e.over for e in errors])
+    low, high = AS_EXPECTED
+    within = np.mean((over > low) & (over < high), axis=0)
+    print(f"\n{halved} of {len(errors)} with torques leave at most half of what the regression leaves, or 3 % of the "
+          f"plain path; {sum(x <= 1.0 for x in beaten)} from angles alone no more than the regression, at most "
+          f"{np.nanmax(beaten):.2f} times as much.\nMeasured over expected, median and share between {low} and {high}: "
+          f"{np.nanmedian(over[:, 0]):.2f} and {100 * within[0]:.0f} % with torques, {np.nanmedian(over[:, 1]):.2f} and "
+          f"{100 * within[1]:.0f} % without.")
+
+
+def _one(name: str, plant: Plant, arm: Robot, rng: np.random.Generator) -> _Errors:
     cycle = arm.t_ipo
     shown = plant.run(motion(arm, rng, 20.0, cycle), cycle, cycle, rng)
     path = held(motion(arm, rng, 8.0, cycle), before=round(REST / cycle))
-    plain, foretold, cells = _missed(plant, path, path, cycle, rng), float("nan"), []
+    plain, foretold, corrected = _missed(plant, path, path, cycle, rng), np.nan, []
     for model in (_with_torques(shown, arm), _alone(shown, arm)):
         if model is None:
-            cells += ["refused", ""]
+            corrected.append((np.nan, np.nan))
             continue
         inverse = CommandInverse(model, arm)
         # Of the two the one from angles alone, which every arm has.
         foretold = _rms(inverse.uncorrected(path)[round(REST / cycle):])
         left = _missed(plant, inverse.along(path), path, cycle, rng)
-        cells += [f"{left:.3g}", f"{left / _rms(inverse.expected(path)[round(REST / cycle):]):.2f}"]
-    cells = [f"{plain:.3g}", f"{plain / foretold:.2f}", *cells]
-    row(name, *cells, f"{_missed(plant, _regression(shown, path, cycle), path, cycle, rng):.3g}")
+        corrected.append((left, left / _rms(inverse.expected(path)[round(REST / cycle):])))
+    (torques, over), (alone, over_alone) = corrected
+    regression = _missed(plant, _regression(shown, path, cycle), path, cycle, rng)
+    cells = [cell for left, share in corrected
+             for cell in (("refused", "") if np.isnan(left) else (f"{left:.3g}", f"{share:.2f}"))]
+    row(name, f"{plain:.3g}", f"{plain / foretold:.2f}", *cells, f"{regression:.3g}")
+    return _Errors(plain, torques, alone, regression, (over, over_alone))
 
 
 def _with_torques(shown: Recording, arm: Robot) -> Model | None:

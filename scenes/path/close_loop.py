@@ -186,6 +186,8 @@ class ArmOnPath(Subject[Play]):
         compared = [Comparison.of(present, self._left(extended, run)) for extended in models]
         order = sorted(range(len(forms)), key=lambda k: compared[k].after)
         best = compared[order[0]]
+        if not np.isfinite(best.after):
+            return [], "the identified loop cannot be played along the run, with it or without"
         return ([k for k in order if not compared[k].rises],
                 f"played on the identified loop it explains less of the run: {1e3 * best.before:.3g} to "
                 f"{1e3 * best.after:.3g} mm are left")
