@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array, held
-from ideal_robot.errors import IdealRobotError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.identification.angles_alone import identify_from_commands
 from ideal_robot.identification.command import identify_command
@@ -45,11 +45,15 @@ def controllers(robot: str = "kr6", seed: int = 1, cycle: float = 0.004, kind: s
         draws: arms with gains, lateness, friction, bodies and encoder drawn at random; 0 for the usual one.
         elastic: gears as springs; MuJoCo's alone.
     """
+    names = kind.split(",") if kind else list(KINDS)
+    for name in names:
+        if name not in KINDS:
+            raise InputError(f"there is none; expected {', '.join(KINDS)}", field="kind", value=name)
     arm = dataclasses.replace(Robot.load(robot), t_ipo=cycle)
     head("controller", "plain path [mrad]", "over expected", "with torques", "over expected", "angles alone",
          "over expected", "regression")
     errors: list[_Errors] = []
-    for name in kind.split(",") if kind else KINDS:
+    for name in names:
         for draw in range(max(draws, 1)):
             rng = np.random.default_rng(seed + 1000 * draw)
             plant = Plant(arm, name, USUAL[name], engine=engine, elastic=elastic) if not draws else Plant(
@@ -85,9 +89,10 @@ def _counted(errors: Sequence[_Errors]) -> None:
     within = np.mean((over > low) & (over < high), axis=0)
     print(f"\n{halved} of {len(errors)} with torques leave at most half of what the regression leaves, or 3 % of the "
           f"plain path; {sum(x <= 1.0 for x in beaten)} from angles alone no more than the regression, at most "
-          f"{np.nanmax(beaten):.2f} times as much.\nMeasured over expected, median and share between {low} and {high}: "
-          f"{np.nanmedian(over[:, 0]):.2f} and {100 * within[0]:.0f} % with torques, {np.nanmedian(over[:, 1]):.2f} and "
-          f"{100 * within[1]:.0f} % without.")
+          f"{np.nanmax(beaten):.2f} times as much.")
+    for words, ratios, share in zip(("with torques", "from angles alone"), over.T, within, strict=True):
+        print(f"Measured over expected {words}: {np.nanmedian(ratios):.2f} in the median, {100 * share:.0f} % between "
+              f"{low} and {high}.")
 
 
 def _one(name: str, plant: Plant, arm: Robot, rng: np.random.Generator) -> _Errors:
