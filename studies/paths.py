@@ -201,7 +201,7 @@ def _at_home(robot: Robot) -> dict[str, str]:
     sag = np.linalg.norm(robot.fk()(q - twist).translation - robot.fk()(q).translation)
     return {"lowest modes of the arm with motors held": ", ".join(f"{mode:.0f}" for mode in np.sort(modes)[:3]) + " Hz",
             "friction at full speed, % of torque limit": f"{fast.min():.0f} to {fast.max():.0f}",
-            "sag of the TCP under gravity": f"{1e3 * sag:.1f} mm"}
+            "gravity deflection of the TCP": f"{1e3 * sag:.1f} mm"}
 
 
 def _circle_errors(robot: Robot) -> dict[str, str]:
@@ -215,7 +215,7 @@ def _circle_errors(robot: Robot) -> dict[str, str]:
             "time-matched error, motor side": f"{matched:.1f} mm",
             "aligned (delay removed)": f"{aligned:.1f} mm ({late:.1f} ms)",
             "the same with the planner's delay": f"{other:.1f}, {again:.1f} mm ({later:.1f} ms)",
-            "aligned error of the arm itself (sag included)": f"{arm:.1f} mm"}
+            "aligned error of the arm itself (gravity deflection included)": f"{arm:.1f} mm"}
 
 
 def _circle(robot: Robot) -> tuple[Array, Array]:
