@@ -14,7 +14,7 @@ from ideal_robot.results import Summarised
 from scenes.program import ORIGIN
 from scenes.regression.comparison import labelled
 from scenes.regression.paired import WORSE, Row, Rules, judged, one_run, paired
-from scenes.regression.results import MAIN, Results, table
+from scenes.regression.results import MAIN, Results, figure_in_words, table, unit_of
 from scenes.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -103,8 +103,9 @@ class History(Summarised):
             return f"{newest} is as good as the best of {len(self.versions)} versions in every case"
         first = self.worse[0]
         assert first.since is not None
-        return (f"{first.case}: {first.figure} rose from {first.row.before:.3g} ({first.versions[first.best].name}) to "
-                f"{first.row.after:.3g} with {first.versions[first.since].name}; {len(self.worse)} of "
+        unit = f" {unit_of(first.figure) or ''}".rstrip()
+        return (f"{first.case}: {figure_in_words(first.figure)} rose from {first.row.before:.3g}{unit} "
+                f"({first.versions[first.best].name}) to {first.row.after:.3g}{unit} with {first.versions[first.since].name}; {len(self.worse)} of "
                 f"{len(self.courses)} figures are worse than their best")
 
     def summary(self) -> list[tuple[str, str]]:
