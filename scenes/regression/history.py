@@ -105,8 +105,9 @@ class History(Summarised):
         assert first.since is not None
         unit = f" {unit_of(first.figure) or ''}".rstrip()
         return (f"{first.case}: {figure_in_words(first.figure)} rose from {first.row.before:.3g}{unit} "
-                f"({first.versions[first.best].name}) to {first.row.after:.3g}{unit} with {first.versions[first.since].name}; {len(self.worse)} of "
-                f"{len(self.courses)} figures are worse than their best")
+                f"({first.versions[first.best].name}) to {first.row.after:.3g}{unit} with "
+                f"{first.versions[first.since].name}; {len(self.worse)} of {len(self.courses)} figures are worse than "
+                "their best")
 
     def summary(self) -> list[tuple[str, str]]:
         """The answer, and how much it rests on."""
