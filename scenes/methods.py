@@ -27,6 +27,8 @@ ADAPTED = "adapted"
 """The ideal robot with friction that follows the arm: on known paths it plays beforehand, else it learns as it goes."""
 DELAY = "-delay"
 """Behind a method's key, in scenes of paths: the standard path planner's delay is in force."""
+WORDS = {NONE: "no correction", IDEAL: "the ideal robot", ADAPTED: "the ideal robot adapted"}
+"""What pages call the methods that all kinds of scenes have."""
 PLAIN = ("precorrected", "precorrected-printed")
 """Made for known paths; sensor-based scenes play them when asked for, and leave them out of their comparisons."""
 

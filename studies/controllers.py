@@ -87,9 +87,9 @@ def _counted(errors: Sequence[_Errors]) -> None:
     over = np.array([e.over for e in errors])
     low, high = AS_EXPECTED
     within = np.mean((over > low) & (over < high), axis=0)
-    print(f"\n{halved} of {len(errors)} with torques leave at most half of what the regression leaves, or 3 % of the "
-          f"plain path; {sum(x <= 1.0 for x in beaten)} from angles alone no more than the regression, at most "
-          f"{np.nanmax(beaten):.2f} times as much.")
+    print(f"\n{halved} of {len(errors)} with torques leave at most {HALF:g} times what the regression leaves, or "
+          f"{100 * OF_PLAIN:g} % of the plain path; {sum(x <= 1.0 for x in beaten)} from angles alone no more than the "
+          f"regression, at most {np.nanmax(beaten):.2f} times as much.")
     for words, ratios, share in zip(("with torques", "from angles alone"), over.T, within, strict=True):
         print(f"Measured over expected {words}: {np.nanmedian(ratios):.2f} in the median, {100 * share:.0f} % between "
               f"{low} and {high}.")

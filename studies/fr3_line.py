@@ -27,7 +27,7 @@ from scenes.report.replay import Replay, shown_motion
 from scenes.report.video import check_video, write_video
 from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
-from scenes.serve.elsewhere import SOONEST
+from scenes.serve.elsewhere import least_delay
 from studies.other_arms import write_fr3
 from studies.report import head, row
 from studies.slow_clock import environment
@@ -146,7 +146,6 @@ def _played(folder: Path, env: dict[str, str], scene: Path, own: Path, camera: P
     loaded = load_scene(scene)
     assert isinstance(loaded, LineScene)
     start = ",".join(f"{angle:.6f}" for angle in set_up(loaded).known.follower.q_start)
-    least = 1e3 * (loaded.camera.latency - SOONEST * loaded.camera.jitter)
     truth, told = own / "camera.json", own / "follow.json"
     for old in (truth, told):
         old.unlink(missing_ok=True)
@@ -155,8 +154,8 @@ def _played(folder: Path, env: dict[str, str], scene: Path, own: Path, camera: P
            "--camera-port", "0", "--topic", TOPIC, "--wait", "30", "--json", str(truth))
     with _process(folder, env, "fr3", *arm, says="ready"), _process(own, env, "camera", *eye, says="the path starts"):
         _command(own, env, "follow", str(scene), "--arm", f"franka://{HOST}", "--cycle", str(CYCLE), "--camera",
-                 f"ros2://{TOPIC}", "--camera-delay", f"{least:g}", "--calibration", str(camera), "--json",
-                 str(told), "--out", str(own / "out"), fails=False)
+                 f"ros2://{TOPIC}", "--camera-delay", f"{1e3 * least_delay(loaded.camera):g}", "--calibration",
+                 str(camera), "--json", str(told), "--out", str(own / "out"), fails=False)
     seen = json.loads(truth.read_text(encoding="utf-8"))
     follow = json.loads(told.read_text(encoding="utf-8")) if told.is_file() else {}
     link = follow.get("devices", {}).get("arm", {}).get("link", {})

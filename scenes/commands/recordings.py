@@ -382,7 +382,7 @@ def precorrect(options: PrecorrectOptions) -> None:
     `ideal-robot precorrect out/plan/commands.csv --model model.json -o corrected.csv`
     """
     from ideal_robot.model.model import Model
-    from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
+    from scenes.path.precorrect import next_step, played, precorrected_path, robot_of, table, write_page
 
     folder = options.out or Path("out") / "precorrect"
     check_outputs({"--out": folder}, output=options.output, json=options.json)
@@ -415,7 +415,7 @@ def precorrect(options: PrecorrectOptions) -> None:
         typer.echo(f"warning: {warning}", err=True)
     typer.echo(f"corrected path: {options.output}")
     typer.echo(f"report: {report}")
-    typer.echo(f"next: Play it on an arm behind its maker's interface. ideal-robot play {options.output} --arm ADDRESS")
+    typer.echo("next: " + " ".join(next_step(options.output)))
 
 
 def _played_errors(measured: tuple[Array, Array] | None) -> dict[str, Any]:

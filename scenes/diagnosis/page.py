@@ -139,22 +139,19 @@ def summary(diagnosis: Diagnosis) -> str:
         words = _listed(doubtful)
         text += (f" {words[:1].upper()}{words[1:]} was fitted too, but the error on data that had no part in finding "
                  "it does not fall: that it is missing is not claimed.")
-    errors = _errors(diagnosis)
-    if errors and diagnosis.verdict in ("effects", "unknown"):
+    shown = _own(diagnosis)
+    if shown and diagnosis.verdict in ("effects", "unknown"):
         # Of many channels the one that falls most; the table has all.
-        most = min(_own(diagnosis), key=lambda c: c.rms_after / max(c.rms_before, 1e-300))
-        words = (f"the error of {_listed(errors)}" if len(errors) <= _SAID else
-                 f"the errors of {len(errors)} channels fall; that of {_fall(most)}")
+        most = min(shown, key=lambda c: c.rms_after / max(c.rms_before, 1e-300))
+        lower = sum(c.rms_after < c.rms_before for c in shown)
+        words = (f"the error of {_listed([_change(c) for c in shown])}" if len(shown) <= _SAID else
+                 f"the error is smaller in {lower} of {len(shown)} channels; that of {_change(most)}")
         text += f" On data that had no part in finding it {words}."
     return f"{text} {above}" if above else text
 
 
-def _errors(diagnosis: Diagnosis) -> list[str]:
-    """Error before and after of each channel of ``_own``, in words."""
-    return [_fall(c) for c in _own(diagnosis)]
-
-
-def _fall(c: ChannelResult) -> str:
+def _change(c: ChannelResult) -> str:
+    """A channel's error before and after, in words."""
     before, after, unit = _told(c.unit, c.rms_before, c.rms_after)
     return f"{c.channel} goes from {before:.3g} to {after:.3g} {unit}"
 

@@ -11,6 +11,7 @@ from scenes.arms import arm_of
 from scenes.force.cell import scene_curves
 from scenes.force.compare import ForceComparison
 from scenes.force.play import ForceResult
+from scenes.methods import DIRECT, SENSOR_PATH, WORDS
 from scenes.report.page import Report
 from scenes.report.replay import Replay, sensed_force, shown_motion
 from scenes.result import extremes, step
@@ -37,8 +38,7 @@ def force_replay(result: ForceResult) -> Replay | None:
                   force=sensed_force(robot, recording, rows))
 
 
-_NAMED = {"ideal": "the ideal robot", "adapted": "the ideal robot adapted",
-          "sensor_path": "the path from the force alone", "direct_feedback": "direct force feedback at its best gain"}
+_NAMED = {**WORDS, SENSOR_PATH: "the path from the force alone", DIRECT: "direct force feedback at its best gain"}
 COLOURS = {"ideal": "#e06000", "adapted": "#7d3c98", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
 
 

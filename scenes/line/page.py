@@ -15,6 +15,7 @@ from ideal_robot.registry import in_words
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
+from scenes.methods import DIRECT, SENSOR_PATH, WORDS
 from scenes.online.log import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay, enlarged_alike, sensed_force, sensed_line, shown_motion
@@ -89,8 +90,7 @@ def _png(shown: FieldShown) -> bytes:
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
 COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT, "adapted": "#7d3c98",
            "ideal_points": "#000000"}
-NAMED = {"ideal": "the ideal robot", "adapted": "the ideal robot adapted", "sensor_path": "the sensed path alone",
-         "none": "no correction", "direct_feedback": "direct sensor feedback at its best gain"}
+NAMED = {**WORDS, SENSOR_PATH: "the sensed path alone", DIRECT: "direct sensor feedback at its best gain"}
 PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 """[L] 5: mean control error at top speed."""
 

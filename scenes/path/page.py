@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import interpolated
 from scenes.arms import arm_of
-from scenes.methods import DELAY
+from scenes.methods import DELAY, WORDS
 from scenes.path.cell import PathResult, path_methods
 from scenes.path.compare import PathComparison
 from scenes.report.page import COLUMNS, Report, world_rows
@@ -59,8 +59,7 @@ _SHORT = ("E_car is a root mean square, E_max the largest deviation of the tool;
 def run_page(result: PathResult, moving: Replay | None) -> Report:
     """The page of one run, with its replay where there is one."""
     e = result.errors
-    named = {"none": "no correction", "ideal": "the ideal robot", "adapted": "the ideal robot adapted"}
-    report = Report(f"{result.scene.title}: {named.get(result.method, result.method)}",
+    report = Report(f"{result.scene.title}: {WORDS.get(result.method, result.method)}",
                     f"The tool was {1e3 * e.time_matched.E_car:.3f} mm from where it should have been at the time "
                     f"(root mean square), at most {1e3 * e.time_matched.E_max:.3f} mm.")
     report.figures([*result.summary()[2:]])

@@ -111,6 +111,16 @@ def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None)
     return columns, [[i + 1, *(1e3 * float(value[i]) for value in values)] for i in range(result.q_d.shape[1])]
 
 
+def next_step(corrected: str | Path) -> tuple[str, str]:
+    """What to do with a corrected path: a sentence, and the command that does it.
+
+    Args:
+        corrected: its file.
+    """
+    return ("Play the corrected path on an arm behind its maker's interface.",
+            f"ideal-robot play {shlex.quote(str(corrected))} --arm ADDRESS")
+
+
 def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Array] | None = None,
                corrected: str | Path = "CORRECTED.csv") -> Path:
     """The page about a corrected path.
@@ -128,8 +138,7 @@ def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Arra
                     f"on the worst joint with the corrected path, {before:.2f} {unit} without."
                     + ("" if result.reach is None else " The controller was not identified: within its spread the "
                        f"corrected path leaves up to {1e3 * float(result.reach.max()):.2f} {unit}."))
-    report.next(("Play the corrected path on an arm behind its maker's interface.",
-                 f"ideal-robot play {shlex.quote(str(corrected))} --arm ADDRESS"))
+    report.next(next_step(corrected))
     report.table(*table(result, measured))
     figure = Figure(figsize=(9.0, 4.0))
     axes = figure.add_subplot()

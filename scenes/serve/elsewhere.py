@@ -28,6 +28,7 @@ from scenes.line.cell import Cell, set_up
 from scenes.online.live_arm import at_cycle
 from scenes.online.processes import stopping_on_signals, undisturbed
 from scenes.report.page import write_json
+from scenes.scene_files.drawn_line import CameraTable
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import Scene
 from scenes.serve.carried import CameraDevice, ServedCamera
@@ -37,7 +38,7 @@ from sim.camera.image_chain import CameraSettings
 from sim.camera.lamp import ArmShape
 from sim.devices.stream_server import DeviceClock, Unkindness, now
 
-SOONEST = 2.0
+_SOONEST = 2.0
 """Standard deviations of the latency by which a second's soonest picture of some twenty-five is early, on average."""
 _REMEMBERED = 2.0
 """Time of which states are kept [s]; a picture is exposed as soon as the states about it are there."""
@@ -225,14 +226,21 @@ def _camera(cell: Cell, scene: LineScene, arm: ArmElsewhere, places: CameraPlace
         camera.close()
 
 
+def least_delay(camera: CameraTable) -> float:
+    """From mid-exposure to the soonest picture of a second, on average [s]: a topic tells no clock but by arrivals.
+
+    Args:
+        camera: of the scene, whose latency jitters normally.
+    """
+    return max(camera.latency - _SOONEST * camera.jitter, 0.0)
+
+
 def _say_where(cell: Cell, scene: LineScene, camera: ServedCamera, places: CameraPlaces, say: Callable[[str], None]
                ) -> None:
     """Says where pictures come, and where the arm has to stand."""
     say("camera: stream://{}:{}".format(*camera.address))
     if places.topic is not None:
-        # The soonest of a second's pictures, whose latency jitters normally: a topic tells no clock but by arrivals.
-        least = max(scene.camera.latency - SOONEST * scene.camera.jitter, 0.0)
-        say(f"camera: ros2://{places.topic} (--camera-delay {1e3 * least:g})")
+        say(f"camera: ros2://{places.topic} (--camera-delay {1e3 * least_delay(scene.camera):g})")
     say("the path starts at q = " + ", ".join(f"{angle:.4f}" for angle in cell.known.follower.q_start) + " rad")
 
 
