@@ -1,4 +1,4 @@
-"""Where the path is: reference paths, fusion of sensed deviations, and the desired joint path over a horizon."""
+"""Plans where the path is: reference paths, fusion of sensed deviations, desired joint path over a horizon."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class PlanningError(IdealRobotError):
 
 
 class OutOfReachError(PlanningError):
-    """The arm cannot take a pose.
+    """The arm cannot reach a pose.
 
     Args:
-        position: the TCP position asked for ``(3,)`` [m].
-        error: distance that was left between arm and pose [m].
+        position: the TCP position that was to be reached ``(3,)`` [m].
+        error: residual distance between arm and pose [m].
         joint: joint counted from 1 that is at its limit, 0 if the arm is simply too short or singular there.
         value, limit: the joint's angle and the limit it would leave [rad or m]; nan where no joint is meant.
     """
@@ -42,13 +42,13 @@ class OutOfReachError(PlanningError):
 
 
 class LineLostError(PlanningError):
-    """The sensor has not shown the line for longer than the follower may go on without it.
+    """The sensor has not shown the line for longer than the follower may continue without it.
 
     Args:
         t, s: controller time when the follower gave up [s], arc length of the TCP on the reference then [m].
         last_t, last_s: the same when the line was last seen; nan if never.
         limit: distance that may be travelled without seeing the line [m].
-        sigma: how well the line is still known at the TCP, standard deviation [m]; nan where that was not asked.
+        sigma: standard deviation of the line's predicted place at the TCP [m]; nan where it was not computed.
     """
 
     def __init__(self, t: float, s: float, last_t: float, last_s: float, limit: float,

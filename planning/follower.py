@@ -1,4 +1,4 @@
-"""The seam of followers: what turns fused deviations into the desired path of the coming cycles, whatever is sensed."""
+"""The interface of followers, which turn fused deviations into the desired path of the coming cycles."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ class Follower(Protocol):
 
     @property
     def phase(self) -> Phase:
-        """What the arm is about."""
+        """The present phase of the motion."""
 
     @property
     def q_start(self) -> Array:
-        """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""
+        """Joint angles at which the arm has to rest before the start ``(n,)`` [rad]."""
 
     def observe(self, t: float, q_a: Array) -> None:
-        """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before what is sensed is handed in."""
+        """Stores the arm angles ``(n,)`` [rad] measured at ``t`` [s]; call it before each cycle's sensor data."""
 
     def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``(n_d, n)`` [rad] from ``t`` [s] on.
 
-        ``anew``: whether there is time for a new plan; a cycle without goes on as planned before.
+        ``anew``: whether there is time for a new plan; otherwise the last plan is continued.
 
         Raises:
             PlanningError, LimitError: the path cannot go on.
@@ -63,7 +63,7 @@ class Follower(Protocol):
         """Speed of the travel at ``t`` [m/s]."""
 
     def contact_torque(self, q_d: Array) -> Array | None:
-        """Expected joint torques of a contact over the horizon ``(n_d, n)`` [N m]; None of what touches nothing."""
+        """Expected joint torques of a contact over the horizon ``(n_d, n)`` [N m]; None without contact."""
 
     def done(self, t: float) -> bool:
         """Whether the cycle that began at ``t`` [s] is the last one."""

@@ -1,4 +1,4 @@
-r"""How a device's clock relates to this computer's, from stamps and arrivals alone.
+r"""Relates a device's clock to this computer's, from time stamps and arrival times alone.
 
 A message with stamp ``s`` of the device's clock arrives at ``h`` of this computer's clock after a delay that is seldom
 below its usual least. The differences ``h - s`` so lie above a line
@@ -6,8 +6,8 @@ below its usual least. The differences ``h - s`` so lie above a line
 .. math:: h - s \approx o + d\, s ,
 
 whose slope ``d`` is the drift and whose height ``o`` the offset, the least delay included. The least difference of each
-quarter of a second gives a point; the slope is their regression line's, held near zero by what quartz clocks do
-(a prior of 100 ppm) as long as the points tell little. The height is what the least difference of a second is on
+quarter of a second gives a point; the slope is their regression line's, held near zero by what quartz clocks do (a
+prior of 100 ppm) while the points determine it poorly. The height is what the least difference of a second is on
 average. The lowest of all falls while messages jitter on: at the end of a run it is another one than where a sensor was
 calibrated.
 """
@@ -44,16 +44,16 @@ CONFIRMED = 3
 
 @dataclass(frozen=True)
 class ClockReport:
-    """What is known of a clock.
+    """Offset, drift and delays of a device's clock.
 
     Attributes:
         offset_s: this computer's clock minus the device's when it was last heard, least delay taken away [s].
         drift_ppm: by how much the device's second is too short for this computer's.
         drift_std_ppm: its standard deviation.
-        late_ms: median of what messages come later than the least delay [ms].
+        late_ms: median delay of messages beyond the least delay [ms].
         stamps: how many there were.
         refused: stamps that could not be.
-        restarts: how often the clock was found set anew.
+        restarts: how often the clock was found to have been reset.
     """
 
     offset_s: float
@@ -65,7 +65,7 @@ class ClockReport:
     restarts: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; what is not known is None."""
+        """Plain values for JSON; unknown values are None."""
         return {key: None if isinstance(value, float) and not math.isfinite(value) else value
                 for key, value in asdict(self).items()}
 
@@ -75,7 +75,7 @@ class ClockRelation:
 
     Args:
         least_delay: usual shortest time of a second between the instant that a stamp names and the arrival of its
-            message, which stamps and arrivals cannot tell [s].
+            message, which cannot be estimated from stamps and arrivals [s].
     """
 
     def __init__(self, least_delay: float = 0.0) -> None:
@@ -90,7 +90,7 @@ class ClockRelation:
         """Whether there has been a stamp."""
 
     def add(self, stamp: float, arrived: float) -> bool:
-        """Takes a message stamped by the device's clock, arrived by this computer's [s]; whether its stamp can be."""
+        """Adds a message's stamp by the device's clock and its arrival by this computer's [s]; false if implausible."""
         if not (math.isfinite(stamp) and math.isfinite(arrived)):
             self.refused += 1
             return False
@@ -127,7 +127,7 @@ class ClockRelation:
         return self._x0 + (host + self.least_delay - self._y0 - self._offset) / (1.0 + self._drift)
 
     def report(self) -> ClockReport:
-        """What is known of the clock by now."""
+        """The clock's offset, drift and delays as estimated so far."""
         last = self._x0 + self._newest
         late = self._late[np.isfinite(self._late)]
         return ClockReport(self.host(last) - last if self.known else math.nan, 1e6 * self._drift, 1e6 * self._drift_std,
@@ -156,15 +156,15 @@ class ClockRelation:
         return True
 
     def _fit(self) -> None:
-        # The newest piece has only just begun: its least difference is not known yet.
+        # The newest interval has only just begun: its least difference is not known yet.
         points = np.array(self._points[:-1])
         if len(points) < 2:
             return
         beside = points[:, 1] - self._offset - self._drift * points[:, 0]
-        # Where messages jitter, the soonest of a piece is usually later than the soonest of more: that is no step.
+        # With jitter, the least delay of one interval is usually above that of several: this is no step of the clock.
         usual = float(np.median(np.abs(beside[:-BESIDE]))) if len(points) >= 2 * BESIDE else np.inf
         recent = beside[-BESIDE:]
-        # A clock that was set is so by the same time ever after; messages that are held up are not.
+        # A clock that was reset keeps the same step; messages that are delayed do not.
         if np.ptp(recent) < STEP + usual < min(np.abs(recent)):
             self.restarts += 1
             self._points = self._points[-BESIDE - 1 :]

@@ -1,7 +1,7 @@
-"""Signs of life of a sensor: it changes, has noise, does not leap, fits and answers the arm's motion, stamps evenly.
+"""Checks that a sensor works: it changes, has noise, does not jump, agrees with the arm's motion, stamps evenly.
 
-One check for whatever tells a vector of numbers again and again. It knows nothing of what the numbers mean; who asks
-says by how much they may change from one reading to the next, and what the sensor showed while nothing happened.
+One check serves every sensor that delivers a vector of numbers. It does not use their meaning; the caller gives the
+largest change between readings and readings at rest.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ LEAPS = 3
 
 
 class LifeSigns:
-    """Looks at every reading of one sensor, whose ``channels`` have names; readings that cannot be count as missing.
+    """Checks every reading of one sensor with named ``channels``; implausible readings are treated as missing.
 
-    None of them can be ``largest`` or more.
+    A value of ``largest`` or more is implausible.
 
     Attributes:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
         colour: correlation of a reading's noise with that of the reading before, mean of the channels: one device
             filters them all alike.
-        stuck, impossible, leapt, quiet: readings that count as missing, by cause.
-        fault: why what comes is not to be trusted any more; None while it is.
-        answered: least share of what it was asked that it answered, ``ERRORS`` standard errors above.
+        stuck, impossible, leapt, quiet: numbers of readings that are treated as missing, by cause.
+        fault: why the sensor's readings are not trusted any more; None while they are.
+        answered: smallest share of the test motion that the sensor has shown, plus ``ERRORS`` standard errors.
     """
 
     def __init__(self, largest: float, channels: Sequence[str]) -> None:
@@ -70,7 +70,7 @@ class LifeSigns:
         self.begin()
 
     def begin(self) -> None:
-        """What came before has nothing to do with what comes."""
+        """Forgets the last readings, so that the next one is not compared with them."""
         self._alike = self._leaps = 0
         self._last: Array | None = None
         self._sound: Array | None = None
@@ -79,7 +79,7 @@ class LifeSigns:
         self._asked = np.zeros((0, 4))
 
     def learn(self, rests: list[Array]) -> None:
-        """Takes the noise and its colour from readings ``(N, n)`` of stretches in which nothing happened."""
+        """Learns the noise and its correlation from readings ``(N, n)`` of intervals at rest."""
         steps = np.concatenate([np.diff(rows, axis=0) for rows in rests])
         self.noise = np.sqrt(np.mean(steps**2, axis=0) / 2.0)
         apart = [rows - rows.mean(axis=0) for rows in rests]
@@ -88,9 +88,9 @@ class LifeSigns:
         self.colour = float(np.clip(np.mean(alike / np.maximum(power, 1e-300)), 0.0, REDDEST))
 
     def check(self, values: Array, reach: Array | float = np.inf) -> bool:
-        """Whether a reading ``(n,)`` can be.
+        """Whether a reading ``(n,)`` is plausible.
 
-        ``reach``: by how much each channel may change from the last sound reading ``(n,)``; inf where nobody knows.
+        ``reach``: largest change of each channel from the last plausible reading ``(n,)``; inf where it is not known.
         """
         if not (np.abs(values) < self._largest).all():
             self.impossible += 1
@@ -114,7 +114,7 @@ class LifeSigns:
         return self._near(values, reach)
 
     def departs(self, innovation: float, most: float) -> None:
-        """Takes by how much the first channel differs from what was expected of it, and by how much it may.
+        """Adds the first channel's difference from its prediction and the largest one that is plausible.
 
         Finds the fault where ``LEAPS`` readings in a row differ by more.
         """
@@ -124,9 +124,9 @@ class LifeSigns:
                                         f"where {most:.3g} is possible")
 
     def fits(self, innovation: float, values: int) -> None:
-        """Takes how well a reading fits what the arm's motion lets expect, and finds the fault where many do not.
+        """Adds the normalised squared innovation of a reading, and finds the fault where many are too large.
 
-        ``innovation`` is normalised and squared, the mean of so many independent ``values``; NaN where it was refused.
+        ``innovation`` is the mean of ``values`` independent ones; NaN where the reading was refused.
         """
         size = REFUSED if np.isnan(innovation) else min(innovation, REFUSED)
         self._innovations.append((size * values, values))
@@ -136,10 +136,10 @@ class LifeSigns:
                                         f"{total / count:.1f} times as large as their variance)")
 
     def loudness(self, noise: float, frequency: float, pace: float) -> float:
-        r"""Amplitude of a swing that is told from noise, of which ``noise`` was learned, within ``ASKED_FOR``.
+        r"""Least amplitude of an oscillation that shows above the learned noise within ``ASKED_FOR`` samples.
 
-        Of white noise σ, N samples tell an amplitude within :math:`\sigma \sqrt{2/N}`; of coloured noise the share that
-        lies about the frequency counts,
+        Of white noise σ, N samples determine an amplitude within :math:`\sigma \sqrt{2/N}`; of coloured noise only the
+        power about the frequency matters,
 
         .. math:: \sigma_\omega^2 = \sigma^2 \frac{1 - \varphi^2}{1 - 2 \varphi \cos \omega T + \varphi^2}
 
@@ -153,7 +153,7 @@ class LifeSigns:
         return float(ERRORS / ANSWERED * np.sqrt(variance * 2.0 * pace / ASKED_FOR))
 
     def swings(self, felt: Array) -> None:
-        """Takes what a tip that swings on a surface felt, for ``answers``.
+        """Stores the forces measured while the tip oscillates on a surface, for ``answers``.
 
         Args:
             felt: instant [s], arc length [m], height [m] and force [N] of the last samples ``(m, 4)``.
@@ -162,17 +162,17 @@ class LifeSigns:
         self._asked = samples[samples[:, 0] > samples[-1, 0] - ASKED_FOR]
 
     def answers(self, stiffness: float, frequency: float) -> None:
-        r"""Finds the fault where what was felt does not go with the height of the tip that swings.
+        r"""Finds the fault where the measured force does not follow the height of a tip that oscillates.
 
-        A surface is a matter of the place, so a cubic along the path takes it away, also where cycles are lost and the
-        arm leaps in the path's time; while the tip rests it is one over time. What is left of the heights h shows in
-        the forces f but for the stiffness E, by the share κ that the sensor answers:
+        The surface's shape depends on the place, so a cubic along the path removes it, also where cycles are lost and
+        the arm leaps in the path's time; while the tip rests it is one over time. The residual heights h appear in the
+        forces f with the stiffness E and the share κ that the sensor shows:
 
         .. math:: f = \sum_{i=0}^{3} c_i w^i - \kappa E h + \nu, \qquad w = s + v_0 t, \qquad
                   \nu_k = \varphi \nu_{k-1} + \epsilon_k
 
-        by least squares of what each sample adds to φ times the one before. Where the noise at rest has a colour, that
-        is what tells a swing from chance.
+        by least squares of each sample less φ times the one before. The correlation of the noise at rest is used where
+        it is known.
 
         Args:
             stiffness: E of the contact [N/m].
@@ -193,7 +193,7 @@ class LifeSigns:
         share = float(swing @ felt) / power
         freedom = len(t) - _CUBIC - 1
         error = float(np.linalg.norm(felt - share * swing)) / np.sqrt(power * freedom)
-        # Student's t: of few samples the noise itself is not well known.
+        # Student's t is used because few samples determine the noise poorly.
         self.answered = min(self.answered, share + float(stdtrit(freedom, ndtr(ERRORS))) * error)
         if self.answered < ANSWERED:
             self.fault = self.fault or (f"it answers {100.0 * max(share, 0.0):.0f} % of what the tip's swing on the "
@@ -201,14 +201,14 @@ class LifeSigns:
                                         f"{frequency:.0f} Hz")
 
     def stamped(self, stamp: float, arrived: float) -> None:
-        r"""Takes the stamp of a message and when it came [s], and finds the fault where stamps wander more than can be.
+        r"""Adds a message's stamp and arrival time [s], and finds the fault where stamps jitter too much.
 
         What differs between the steps of both is their own noise, and of that the stamps' share
 
         .. math:: \sigma_s^2 = \tfrac12 \mathrm{cov}(\Delta s, \Delta s - \Delta a)
 
         whatever the sensor's own pace is. Messages that are delayed, and those lost behind them, move both for a while;
-        stamps that wander do so all the time. So what counts is the median of stretches.
+        stamps that wander do so all the time. So the median over intervals is tested.
         """
         self._times[:-1] = self._times[1:]
         self._times[-1] = stamp, arrived
@@ -219,12 +219,12 @@ class LifeSigns:
         s, a = (times[1:] - times[:-1]).T
         own, pace = s - a, max(median(s.tolist()), 1e-6)
         own -= own.mean()
-        # Where messages are lost steps are longer by whole ones: that is nothing uneven.
+        # Lost messages make steps longer by whole periods; those periods are removed.
         s = s - pace * np.maximum(np.round(s / pace) - 1.0, 0.0)
         s = s - s.mean()
         begins = len(s) * np.arange(STRETCHES + 1) // STRETCHES
         variance = median((np.add.reduceat(s * own, begins[:-1]) / np.diff(begins)).tolist()) / 2.0
-        # What both have in common, as where the sensor has a pace of its own, goes with their own noise by chance.
+        # The noise that stamps and arrivals have in common correlates with their own noise by chance.
         common = max(float(s @ s) / len(s) - 2.0 * variance, 0.0)
         error = 0.5 * float(np.sqrt(common * (own @ own))) / len(s)
         if variance > UNEVEN**2 + SURELY * error:
@@ -248,7 +248,7 @@ class LifeSigns:
 
     @property
     def missing(self) -> list[str]:
-        """What was left out, in words."""
+        """Which readings were treated as missing, and why, in words."""
         counts = ((self.stuck, "stuck"), (self.impossible, "impossible"), (self.leapt, "leapt"),
                   (self.quiet, "without noise"))
         return [f"{number} {what}" for number, what in counts if number]

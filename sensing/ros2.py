@@ -96,7 +96,7 @@ class Ros2Camera:
         self.height, self.width = image.shape
 
     def read(self, timeout: float) -> Frame | None:
-        """See ``FrameSource.read``."""
+        """The next picture; None if none comes within ``timeout`` [s]; see ``FrameSource.read``."""
         taken = self._topic.next(timeout)
         if taken is None:
             return None
@@ -112,12 +112,12 @@ class Ros2Camera:
         return Frame(self._number, stamp, arrived, image)
 
     def close(self) -> None:
-        """See ``FrameSource.close``."""
+        """Closes the camera and releases the device; see ``FrameSource.close``."""
         self._topic.close()
 
 
 def gray(message: Any) -> Gray | None:
-    """The gray values ``(height, width)`` of a ``sensor_msgs/Image``; None where it is not taken or not whole."""
+    """The gray values ``(height, width)`` of a ``sensor_msgs/Image``; None for an unknown encoding or a short one."""
     wide, channels = message.encoding in ("mono16", "16UC1"), _CHANNELS.get(message.encoding, 1)
     kind = np.dtype(">u2" if message.is_bigendian else "<u2") if wide else np.dtype(np.uint8)
     used = message.width * channels * kind.itemsize
@@ -160,7 +160,7 @@ class Ros2Force:
         self._topic = _Topic(address, WrenchStamped, "geometry_msgs/msg/WrenchStamped", 50)
 
     def read(self, timeout: float) -> list[Reading]:
-        """See ``WrenchSource.read``."""
+        """The readings of the next packet, none if none comes within ``timeout`` [s]; see ``WrenchSource.read``."""
         taken = self._topic.next(timeout)
         if taken is None:
             return []
@@ -178,17 +178,17 @@ class Ros2Force:
         return [Reading(stamp, values)]
 
     def close(self) -> None:
-        """See ``WrenchSource.close``."""
+        """Closes the sensor and releases the device; see ``WrenchSource.close``."""
         self._topic.close()
 
 
 def opened_camera(rest: str, least_delay: float) -> Ros2Camera:
-    """Opens ``ros2:///topic``; ``rest`` stands behind the scheme, the least delay in [s]; raises InputError."""
+    """Opens ``ros2:///topic``; ``rest`` is the address without scheme, the least delay in [s]; raises InputError."""
     return Ros2Camera(_address(rest, "camera"), least_delay)
 
 
 def opened_force(rest: str, least_delay: float) -> Ros2Force:
-    """Opens ``ros2:///topic``; ``rest`` stands behind the scheme, the least delay in [s]; raises InputError."""
+    """Opens ``ros2:///topic``; ``rest`` is the address without scheme, the least delay in [s]; raises InputError."""
     return Ros2Force(_address(rest, "force"), least_delay)
 
 

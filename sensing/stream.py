@@ -1,6 +1,6 @@
-"""The project's own stream of device data: addresses, packages, and the client's side.
+"""The project's own stream of device data: addresses, packages, and the client side.
 
-The wire format of our own stream: packages with stamps over TCP, and a parser that nothing can make grow.
+The wire format of our own stream: packages with stamps over TCP, and a parser of bounded memory.
 
 All numbers are big-endian. A package is a header of 16 bytes and its payload:
 
@@ -52,7 +52,7 @@ LARGEST = 4 << 20
 
 
 class StreamError(SensingError):
-    """What came over the socket is no stream of ours, or the connection is broken."""
+    """The data on the socket are not of this stream format, or the connection is broken."""
 
 
 class Kind(IntEnum):
@@ -81,15 +81,15 @@ def _packed(kind: Kind, stamp: float, payload: bytes = b"") -> bytes:
 
 
 class Reader:
-    """Cuts what arrives into packages; holds one package and the rest of a read at most."""
+    """Cuts arriving bytes into packages; stores at most one package and the rest of a read."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
 
     def feed(self, piece: bytes) -> Iterator[Package]:
-        """The packages that are complete with this piece.
+        """The packages that are complete with these bytes.
 
-        Raises ``StreamError`` behind those that are sound for what is not our stream, another version, or a package too
+        After the complete packages it raises ``StreamError`` for another format, another version, or a package too
         large. The connection is of no use then.
         """
         self._waiting += piece
@@ -114,13 +114,13 @@ _CONNECTS = 0.5
 """Time that an attempt to connect may take, or as long as is waited if that is less [s]."""
 _LEAST = 1e-3
 """A timeout of a socket that waits at all [s]."""
-_PIECE = 1 << 18  # bytes that are read at a time
+_PIECE = 1 << 18  # bytes per read
 _FORGET = 1.001
 """Growth of the quickest time a question, so that a network that has become slower is believed in the end."""
 
 
 class StreamConnection:
-    """Packages of one device; raises ``InputError`` where no one listens there.
+    """Receives the packages of one device; raises ``InputError`` where no one listens at its address.
 
     Args:
         host, port: address of the device, and TCP port.
@@ -210,19 +210,21 @@ class StreamConnection:
             took = arrived - struct.unpack(">d", package.payload)[0]
             if not 0.0 <= took < 1.0:
                 return
-            # Of a slow exchange it is not known which way was slow. What the answer alone took is never below the
-            # least, half of the quickest exchange; a question that waited does not count at all.
+            # A slow exchange does not show which direction was slow. The least delay is half of the quickest exchange;
+            # an answer alone never takes less. A question that waited is not used.
             self._quickest = min(self._quickest * _FORGET, took)
             self.clock.least_delay = 0.5 * self._quickest
             self.clock.add(package.stamp, arrived)
 
 
 def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, int]:
-    """Host and port of ``//host:port``; raises ``InputError`` for what is not of that form.
+    """Host and port of ``//host:port``; raises ``InputError`` for another form.
+
+    host:port``; raises ``InputError`` for another form.
 
     Args:
-        rest: what stands behind the scheme and its colon.
-        field: what is addressed, for messages.
+        rest: the address without its scheme and the colon.
+        field: what the address is of, for error messages.
         port: usual one; it must be given if None.
     """
     place = rest.removeprefix("//").partition("?")[0].rstrip("/")
@@ -236,14 +238,14 @@ def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, 
 
 
 def options(rest: str, known: dict[str, float], field: str) -> dict[str, float]:
-    """Numbers behind a question mark, ``?rate=7000&counts_force=1e6``.
+    """The numbers behind the question mark of an address, ``?rate=7000&counts_force=1e6``.
 
     Raises ``InputError`` for another name, or no positive number.
 
     Args:
-        rest: what stands behind the scheme and its colon.
+        rest: the address without its scheme and the colon.
         known: names that may be given, with their usual values.
-        field: what is addressed, for messages.
+        field: what the address is of, for error messages.
     """
     numbers = dict(known)
     for piece in filter(None, rest.partition("?")[2].split("&")):

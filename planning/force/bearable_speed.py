@@ -1,12 +1,12 @@
-r"""How fast a surface of unknown shape may be passed: what a map of it forecasts wrongly is force on a stiff contact.
+r"""Largest speed on a surface of unknown shape: errors of the forecast height are forces on a stiff contact.
 
-A force is answered ``NOTICED`` later, and by then the tip is :math:`d = v\, t` further on. So what the surface does on
-the way d is met by the map's forecast alone, whose standard deviation the filter says before anything has moved:
+A force is answered ``NOTICED`` later, and by then the tip is :math:`d = v\, t` further on. So over the distance d only
+the map's forecast follows the surface. The filter gives the forecast's standard deviation before anything has moved:
 
 .. math:: \sigma_F(v) = E\, \sqrt{\sigma_h^2(v\, t) + \sigma_x^2}
 
-with what the arm itself leaves beside its path, :math:`\sigma_x`: where a travel begins the joints turn round, and the
-friction beside the model's with them, which is as large as the model's residual :math:`\sigma_j`. Behind gears of
+with the arm's own deviation from its path, :math:`\sigma_x`: where a travel begins the joints reverse, and with them
+the friction that the model does not have, which is as large as the model's residual :math:`\sigma_j`. Behind gears of
 stiffness :math:`k_j` and with the torque :math:`g_j = (J^T d)_j` of one newton it moves the tip by twice of what it
 bends them,
 
@@ -49,10 +49,10 @@ SLOWEST = 0.01
 
 
 def left_beside(model: Model, robot: Robot, q: Array, direction: Array) -> float:
-    """Standard deviation σ_x of the tip's place along a direction that friction beside the model's leaves [m].
+    """Standard deviation σ_x of the tip along a direction that unmodelled friction causes at a reversal [m].
 
     Args:
-        model: of the arm; gears whose stiffness is not known do not bend.
+        model: of the arm; gears of unknown stiffness are taken as rigid.
         robot: its kinematics.
         q: joint angles ``(n,)`` [rad].
         direction: unit vector ``(3,)`` in the base frame.
@@ -65,7 +65,7 @@ def left_beside(model: Model, robot: Robot, q: Array, direction: Array) -> float
 
 def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: float, left: float,
                    answered: float = NOTICED) -> float:
-    """Standard deviation of the force on a surface of unknown shape, once some of it was felt [N].
+    """Standard deviation of the force on a surface of unknown shape, after a part of the surface was measured [N].
 
     Args:
         settings: elasticity and noise of the contact.
@@ -76,7 +76,7 @@ def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: f
         answered: time until a force is answered [s].
     """
     fusion, step, E = surface_filter(errors), max(speed * T, SPACING), settings.elasticity
-    # Cycles that lie nearer to each other than that are one measurement with less noise.
+    # Cycles nearer to each other than one step are treated as one measurement with less noise.
     variance = np.array([[((settings.noise / E) ** 2 + settings.position_noise**2) * speed * T / step]])
     s = step * np.arange(math.ceil(STRETCH / step))
     for place in s.tolist():
@@ -87,7 +87,7 @@ def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: f
 
 
 def worst_force(force: float, ratio: tuple[float, float], error: float) -> float:
-    """The force on the surface that is exceeded once in 16,000 times [N].
+    """The force on the surface that is exceeded with a probability of one in 16,000 [N].
 
     Args:
         force: that is kept as the sensor shows it [N].
@@ -100,12 +100,12 @@ def worst_force(force: float, ratio: tuple[float, float], error: float) -> float
 
 def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: float, left: float,
                    answered: float = NOTICED, ratio: tuple[float, float] = (1.0, 0.0)) -> float:
-    """Largest speed up to ``most`` [m/s] at which the surface bears what it may bear; 0 where no speed would do.
+    """Largest speed up to ``most`` [m/s] at which the force stays below what the surface bears; 0 if there is none.
 
     Args:
         settings: wanted force, elasticity and noise of the contact.
         errors: of the force, that are estimated as well.
-        most: largest speed that is asked for [m/s].
+        most: largest speed to be tried [m/s].
         T: cycle [s].
         left: see ``left_beside`` [m].
         answered: time until a force is answered [s].

@@ -1,4 +1,4 @@
-"""What is wanted of a contact, and when a motion in contact has to stop."""
+"""Settings of a contact motion, and the conditions at which it has to stop."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ beyond what is wanted still holds."""
 
 
 def most_force(wanted: float) -> float:
-    """Largest force on the surface [N] whatever the sensor says: half as much again as wanted, or what a hand bears."""
+    """Largest permitted force on the surface [N]: 1.5 times the desired one, or what a hand bears."""
     return max(1.5 * wanted, 40.0)
 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """What is wanted of the contact, and what errors its sensor is assumed to have.
+    """Desired force and motion of a contact, and the assumed errors of its sensor.
 
     Attributes:
         force: F_r, wanted normal force [N].
@@ -64,9 +64,11 @@ class ContactSettings:
         touch: force from which there is contact [N].
         settle: time for which the force has to be near F_r before the travel begins [s].
         clearance: how far the tip is off the surface at the end [m].
-        noise: standard deviation of a force sample before any was heard [N]; ``ForceNoise`` estimates it then.
-        position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
-        asking: amplitude of a force by which the tip's height swings on the way [N], which a live sensor has to feel.
+        noise: assumed standard deviation of a force sample [N]; ``ForceNoise`` estimates it during the motion.
+        position_noise: standard deviation common to the samples of a cycle: errors of the position and of the model
+            [m].
+        asking: amplitude of a test force by which the tip's height oscillates during the travel [N]; a working sensor
+            shows it.
         start_height: of the tip over the reference when the approach begins [m].
         force_errors: standard deviations of the logarithm of E over the assumed one, and of how late forces are [s].
     """
@@ -97,29 +99,29 @@ class ContactSettings:
 
     @property
     def lift(self) -> float:
-        """How far the tip is lifted at the end [m]: what the wanted force presses it in comes first."""
+        """Height by which the tip is lifted at the end [m], including the distance by which the force presses it in."""
         return self.clearance + self.force / self.elasticity
 
     @property
     def lateness(self) -> float:
         """Standard deviation of the time by which damping and stamps shift a force [s].
 
-        The stiffer the contact, the less its damping counts. With more than it can be, the forecast takes the lie of a
-        wave for it.
+        The stiffer the contact, the less its damping matters. Too large a value makes the forecast mistake the phase of
+        a wave for a time error.
         """
         return min(FORCE_ERRORS[1], float(np.hypot(STAMPS, DAMPING / self.elasticity)))
 
     def jerk(self, acceleration: float, jerk: float) -> float:
         """Jerk [m/s³] of a travel with this acceleration [m/s²]; ``jerk`` where the contact is soft enough for it.
 
-        A tip at rest feels no slope, so the stiffer the contact, the gentler the start.
+        A tip at rest does not measure the slope, so the stiffer the contact, the gentler the start.
         """
         if 0.5 * acceleration * UNSEEN**2 * SLOPE * self.elasticity <= TOLERATED:
             return jerk
         return min(jerk, max(GENTLEST, 6.0 * BEGUN / (UNSEEN**3 * SLOPE * self.elasticity)))
 
 
-# What a force sensor shows of nothing: its bias has drifted since calibration, and the approach shows by how much.
+# The zero offset of a force sensor: its bias has drifted since calibration, and the approach shows by how much.
 
 BEGIN = 0.06
 """Time after the first sample in which the arm speeds up, and the tool's inertia is felt [s]."""
@@ -128,7 +130,7 @@ END = 0.06
 
 
 class Tare:
-    """Mean of the contact force that is left in the air, after bias and weight from calibration were taken away."""
+    """Mean contact force in the air that remains after the calibrated bias and weight are subtracted."""
 
     def __init__(self) -> None:
         self._first: float | None = None
@@ -137,11 +139,11 @@ class Tare:
 
     @property
     def force(self) -> Array:
-        """What is to be taken away from contact forces in the tool frame ``(3,)`` [N]."""
+        """Offset to be subtracted from contact forces in the tool frame ``(3,)`` [N]."""
         return self._sum / max(self._count, 1)
 
     def add(self, t: Array, contact: Array) -> None:
-        """Takes contact forces ``(m, 3)`` [N] of the instants ``t (m,)`` [s] of an approach."""
+        """Adds contact forces ``(m, 3)`` [N] that were measured in the air at ``t (m,)`` [s] during an approach."""
         for instant, force in zip(t, contact, strict=True):
             self._first = float(instant) if self._first is None else self._first
             if instant >= self._first + BEGIN:
@@ -150,7 +152,7 @@ class Tare:
             self._sum, self._count = self._sum + self._recent.popleft()[1], self._count + 1
 
 
-# A motion above a path before the job, at its speeds and with the reversals that an unknown surface asks for.
+# A test motion above the path before the task, with its speeds and with the reversals that an unknown surface causes.
 
 CLEAR = 0.03
 """Distance from a surface or its reference that a tip keeps which must not touch it [m]."""
@@ -167,9 +169,9 @@ SHARE = 0.6
 def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array) -> Array:
     """Joint angles ``(N, n)`` [rad] at the cycles: along the path and back, from rest to rest, without touching.
 
-    s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Each place is passed
-    in both directions, which tells friction from weight.
-    Raises ``OutOfReachError`` where a place above the path cannot be reached.
+    s = S sin²(π t/T), whose largest speed is that of the task; all lower speeds occur. Each place is passed in both
+    directions, which separates friction from weight. Raises ``OutOfReachError`` where a place above the path cannot be
+    reached.
 
     Args:
         robot: cycle time and limits.
@@ -194,10 +196,10 @@ def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array
     return interpolated(slower, np.arange(steps + 1), q)
 
 
-# When to stop: force too large, contact or line lost, or a command that would leave what the joints may do.
+# Conditions to stop: force too large, contact or line lost, or a command beyond a joint's limits.
 
 class EmergencyStopError(PlanningError):
-    """The arm has to stop on its path.
+    """The arm has to stop on its path, because a limit would be exceeded.
 
     Args:
         cause: ``force``, ``contact``, ``line``, ``reach``, ``position``, ``velocity`` or ``acceleration``.
@@ -212,7 +214,7 @@ class EmergencyStopError(PlanningError):
 
 @dataclass(frozen=True)
 class StopLimits:
-    """What must not happen.
+    """Limits at which the arm has to stop.
 
     Attributes:
         force: largest contact force [N].
@@ -231,13 +233,13 @@ class StopLimits:
 
 
 class StopConditions:
-    """Looks at every sample and every horizon of ``robot``; raises before it does what ``limits`` exclude."""
+    """Checks every sample and every horizon of ``robot``; raises before a command exceeds one of ``limits``."""
 
     def __init__(self, robot: Robot, limits: StopLimits) -> None:
         self._robot, self._limits, self._T = robot, limits, robot.t_ipo
 
     def force(self, t: float, force: float) -> None:
-        """A contact force [N]. Raises ``EmergencyStopError`` above the limit, and where it is no number."""
+        """Checks a contact force [N]. Raises ``EmergencyStopError`` above the limit, and where it is no number."""
         if not force <= self._limits.force:
             raise EmergencyStopError(
                 "force",
@@ -247,7 +249,7 @@ class StopConditions:
             )
 
     def contact(self, t: float, last_touch: float) -> None:
-        """The last instant of contact. Raises ``EmergencyStopError`` if it is too long ago."""
+        """Checks the last instant of contact. Raises ``EmergencyStopError`` if it is too long ago."""
         if t - last_touch > self._limits.lost:
             raise EmergencyStopError(
                 "contact",
@@ -257,7 +259,7 @@ class StopConditions:
             )
 
     def approach(self, t: float, descended: float, reach: float) -> None:
-        """How far the approach has come [m]. Raises ``EmergencyStopError`` if there should have been contact.
+        """Checks the distance of the approach [m]. Raises ``EmergencyStopError`` if there should have been contact.
 
         Args:
             t: controller time [s].
@@ -273,12 +275,12 @@ class StopConditions:
             )
 
     def command(self, t: float, q_d: Array) -> None:
-        """A horizon ``(n_d, n)`` [rad]. Raises ``EmergencyStopError`` naming joint, value and limit."""
+        """Checks a horizon ``(n_d, n)`` [rad]. Raises ``EmergencyStopError`` naming joint, value and limit."""
         robot, share = self._robot, self._limits.share
         self._within(t, "position", q_d, robot.q_min, robot.q_max, "rad; move the path")
         v = np.diff(q_d, axis=0) / self._T
         self._within(t, "velocity", v, -share * robot.v_max, share * robot.v_max, "rad/s; lower the speed")
-        # Two cycles: a single one would take the rounding of the inverse kinematics for acceleration.
+        # Over two cycles, as over one the rounding of the inverse kinematics would appear as acceleration.
         if len(v) > 2:
             a = (v[2:] - v[:-2]) / (2 * self._T)
             self._within(t, "acceleration", a, -share * robot.a_max, share * robot.a_max, "rad/s²; lower the speed")

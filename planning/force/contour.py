@@ -55,11 +55,11 @@ class SlidingPlan:
 
     @property
     def position(self) -> Array:
-        """Positions from the current cycle on ``(samples + 2, 2)`` [m]."""
+        """Planned positions in both directions, from the current cycle on ``(samples + 2, 2)`` [m]."""
         return self._states[:, 0]
 
     def advance(self, cycle: int) -> None:
-        """Goes on to a cycle; behind the end of what was planned the last position is held."""
+        """Advances the plan to a cycle; beyond the end of the plan the last position is kept."""
         passed = cycle - self.cycle
         if passed <= 0:
             return
@@ -70,9 +70,9 @@ class SlidingPlan:
         self.cycle = cycle
 
     def follow(self, estimate: Array, keep: int) -> None:
-        """Plans anew towards ``estimate (samples, 2)`` [m] of the cycles behind the next ``keep``, which stay.
+        """Plans anew towards ``estimate (samples, 2)`` [m]; the next ``keep`` cycles of the old plan are kept.
 
-        Each direction on its own: a large correction must not slow the other one.
+        The directions are planned separately, so that a large correction of one does not slow the other.
         """
         for direction in (0, 1):
             column = slice(direction, direction + 1)
@@ -80,9 +80,10 @@ class SlidingPlan:
             self._states[keep + 1 : keep + 1 + self.samples, :, column] = planned.transpose(1, 0, 2)
 
     def solve(self, keep: int, joint_angles: Callable[[slice, Array], Array]) -> Array:
-        """Joint angles of the horizon ``(n_d, n)`` [rad]; the next ``keep`` cycles stay as they are.
+        """Computes the joint angles of the horizon ``(n_d, n)`` [rad]; those of the next ``keep`` cycles are kept.
 
-        ``joint_angles`` gives those of some rows from their last ones ``(m, n)`` [rad].
+        ``joint_angles`` solves the inverse kinematics of a slice of cycles, starting from their last solution ``(m,
+        n)`` [rad].
         """
         rows = slice(keep + 1, self.n_d)
         if rows.start < rows.stop:
@@ -96,7 +97,7 @@ LATELY = 0.08
 
 @dataclass(frozen=True)
 class ContourSettings:
-    """What is wanted, and how the contour is assumed to bend.
+    """Desired motion along a contour, and the curvature that the contour is assumed to have.
 
     Attributes:
         force: F_r [N].
@@ -166,7 +167,7 @@ class ContourFollower:
 
     @property
     def phase(self) -> Phase:
-        """What the arm is about; there is no lift at the end of a contour."""
+        """The present phase of the motion; at the end of a contour the tip is not lifted."""
         if not self.in_contact:
             return Phase.APPROACH
         if self._moving_from is None:
@@ -175,11 +176,11 @@ class ContourFollower:
 
     @property
     def descended(self) -> float:
-        """How far the approach has come [m]."""
+        """Distance that the approach has descended [m]."""
         return float(self._plan.position[0, 0])
 
     def s_at(self, t: float) -> float:
-        """Way along the contour at ``t`` [m]."""
+        """Distance along the contour at ``t`` [m]."""
         return float(self._way(t))
 
     def speed_at(self, t: float) -> float:
@@ -187,7 +188,7 @@ class ContourFollower:
         return float(self._way(t + 1e-3) - self._way(t - 1e-3)) / 2e-3
 
     def done(self, t: float) -> bool:
-        """See ``planning.follower.Follower``."""
+        """Whether the cycle that began at ``t`` [s] is the last one; see ``planning.follower.Follower``."""
         return self.phase is Phase.DONE
 
     def desired_deviation(self, t: float) -> Array:
@@ -209,11 +210,11 @@ class ContourFollower:
         self.history.add(t, q_a)
 
     def press_as(self, elasticity: float) -> None:
-        """Assumes this elasticity of tip and surface [N/m] from now on."""
+        """Uses this elasticity of tip and surface [N/m] from now on."""
         self.settings = replace(self.settings, elasticity=elasticity)
 
     def measured(self, t: Array, contact: Array) -> None:
-        """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]; None: there is no map."""
+        """Adds contact forces ``(m, 3)`` [N, tool frame] measured at ``t (m,)`` [s]; there is no filter, so None."""
         sideways = 0.0
         for instant, force_tool in zip(t, contact, strict=True):
             pose = self.history.pose(max(float(instant), self.history.first))
@@ -227,7 +228,7 @@ class ContourFollower:
             if self._contact_since is None:
                 self._contact_since = float(instant)
             self.last_touch = max(self.last_touch, float(instant))
-            # [L] (3) along the normal: where the tip would have to be for F_r.
+            # [L] (3) along the normal: the tip position at which the force would be F_r.
             wanted = here + normal * (self.force - self.settings.force) / self.settings.elasticity
             self._points.append((float(instant), wanted))
         newest = self._points[-1][1] if self._points else None
@@ -283,7 +284,7 @@ class ContourFollower:
         u, w = (points - points[-1]) @ along, (points - points[-1]) @ left
         scale = max(float(np.ptp(u)), 1e-6)
         A = np.column_stack([np.ones(len(u)), u / scale, (u / scale) ** 2])
-        # A weak preference for straight keeps short windows from bending.
+        # A weak prior for a straight line keeps short windows from curving.
         A_ridge = np.vstack([A, [0.0, 0.0, 0.3 * np.sqrt(len(u)) * 0.02]])
         c = np.linalg.lstsq(A_ridge, np.append(w, 0.0), rcond=None)[0]
         slope, bend = c[1] / scale, 2 * c[2] / scale**2
@@ -341,7 +342,7 @@ class ContourFollower:
             tangent, bend, foot = self._parabola(points)
         else:
             tangent, bend, foot = self._forward(), 0.0, points[-12:].mean(axis=0)
-        # The newest point was felt at its own instant; from there on the way goes along the parabola.
+        # The newest point belongs to its own instant; from there the path follows the parabola.
         way = self._way(t + ahead) - self._way(self._points[-1][0])
         bent = np.minimum(way, self.settings.ahead)
         straight = way - bent
@@ -354,7 +355,7 @@ class ContourFollower:
 
     @property
     def normal(self) -> Array:
-        """Out of the contour, as it was felt last ``(3,)`` [base frame]."""
+        """Unit vector out of the contour, from the last contact ``(3,)`` [base frame]."""
         return np.asarray(self._normal @ self._axes)
 
     def contact_torque(self, q_d: Array) -> Array:

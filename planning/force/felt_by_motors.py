@@ -1,12 +1,12 @@
-r"""The contact force as the motors feel it: a second witness, coarse and slow, that no force sensor can deceive.
+r"""The contact force estimated from the motor currents: coarse and slow, but independent of the force sensor.
 
-What the motors give beyond the model's torque is what the environment takes, :math:`\tau = \tau_M - J^T F`, so along a
-direction ``d`` with :math:`g = J^T d`, and each joint weighed by its drive's largest torque,
+The motors' torque beyond the model's balances the external force, :math:`\tau = \tau_M - J^T F`, so along a direction
+``d`` with :math:`g = J^T d`, and each joint weighed by its drive's largest torque,
 
 .. math:: F = - \frac{g^T W (\tau - \tau_M)}{g^T W g}, \qquad W = \mathrm{diag}(\tau_{max}^{-2})
 
-Friction is as well known as that only while the joints slide on in the same direction. So the witness is heard in slow
-straight motions alone, and against what it said at their begin, in the air.
+Friction is known well enough only while the joints keep sliding in the same direction. So the estimate is used only in
+slow straight motions, relative to its value at their start, in the air.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ _QUIET = 1e-3
 
 
 def settle_and_air(way: float, pace: float) -> tuple[float, float]:
-    """Time in which friction settles, and that in which the air is heard after it [s], on a way through air.
+    """Time in which friction becomes steady, and the time of averaging in the air after it [s], for a distance.
 
-    Friction comes to that of another speed over the presliding distance, not over a time: the air is heard at the end
-    of the way.
+    Friction changes with the speed over the presliding distance, not over a time, so the force in the air is averaged
+    at the end of the distance.
 
     Args:
         way: before there can be a touch [m].
@@ -62,17 +62,17 @@ def settle_and_air(way: float, pace: float) -> tuple[float, float]:
 
 
 class FeltByMotors:
-    """Force along one direction while the tip moves straight and slowly.
+    """Force along one direction, from the motor torques, while the tip moves straight and slowly.
 
     Args:
         model, kinematics: of the arm.
         robot: the arm with the controller's cycle.
         direction: of the force ``(3,)`` [base frame].
-        settle: time after which friction has turned and the air is heard [s].
-        air: time for which the air is heard [s].
+        settle: time after which friction is steady and averaging in the air begins [s].
+        air: duration of the averaging in the air [s].
 
     Attributes:
-        gain: of the force sensor beside which they are heard, from even motion.
+        gain: gain of the force sensor, estimated by the motors during even motion.
     """
 
     def __init__(self, model: Model, robot: Robot, kinematics: InverseKinematics, direction: Array,
@@ -84,7 +84,7 @@ class FeltByMotors:
         self._forces: deque[float] = deque(maxlen=self._window)
         self._air, self._in_air, self._air_cycles = 0.0, 0, round(air / self._T)
         self._cycles, self._changes, self._before = 0, list[float](), np.nan
-        # Slower than it was identified dry friction may be anything.
+        # Below the speeds of the identification dry friction is unknown.
         self.gain = GainByMotors(model.noise_std + model.friction.dry, model.friction.distance,
                                  block_cycles(self._T, settle))
         self._slid: Array = np.zeros(robot.n)
@@ -96,14 +96,14 @@ class FeltByMotors:
         Args:
             q_c: commanded joint angles ``(n,)`` [rad].
             q: measured ones ``(n,)`` [rad].
-            tau: measured motor torques ``(n,)`` [N m]; NaN where the controller does not tell them.
+            tau: measured motor torques ``(n,)`` [N m]; NaN where the controller does not report them.
             felt: force that the sensor shows ``(3,)`` [N, base frame]; None where the motion is not even.
             speed: of the tip [m/s].
         """
         self._commands.append(q_c)
         self._cycles += 1
         if self._last is not None:
-            # Way since the joint turned round, by its command: the motor also moves where only its gear twists.
+            # Distance since the joint reversed, by its command: the motor also moves where only its gear twists.
             step = q_c - self._last
             self._slid = np.where(step * self._slid >= 0.0, self._slid, 0.0) + step
         self._last = q_c
@@ -129,7 +129,7 @@ class FeltByMotors:
 
     @property
     def force(self) -> float:
-        """Mean force of the last while beyond that in the air [N]; NaN while it is not known."""
+        """Mean force over the last averaging time, less that in the air [N]; NaN while it is not known."""
         return self.lately(self._window)
 
     def lately(self, cycles: int) -> float:
@@ -149,12 +149,12 @@ class FeltByMotors:
 
 @dataclass(frozen=True)
 class Alert:
-    """How soon the motors notice a force that no sensor shows.
+    """How fast a rising force the motors detect that the force sensor does not show.
 
     Attributes:
         cycles: over which they are averaged.
         force: from which on it is none of their noise's [N].
-        rate: of a force that rises until the arm lets go, so that the surface bears what it may by then [N/s].
+        rate: largest rate of the force at which the arm retracts before the permitted force is exceeded [N/s].
     """
 
     cycles: int
@@ -163,10 +163,10 @@ class Alert:
 
 
 def soonest(scatter: float, least: float, most: float, T: float, air: float) -> Alert | None:
-    r"""The mean over that time w by which a force may rise fastest; None where noise hides what may be borne.
+    r"""The averaging time w that permits the fastest rise of a force; None where noise exceeds the permitted force.
 
     Of a force that rises with the rate R the mean over w is :math:`R\, w / 2` behind. It is noticed once it is beyond
-    ``SURELY`` standard deviations :math:`\sigma \sqrt{T/w + T/w_0}`, that of the air included, and the arm lets go
+    ``SURELY`` standard deviations :math:`\sigma \sqrt{T/w + T/w_0}`, that of the air included, and the arm retracts
     ``NOTICED`` later:
 
     .. math:: R(w) = \frac{F_{max} - F(w)}{w / 2 + t_0}
@@ -176,7 +176,7 @@ def soonest(scatter: float, least: float, most: float, T: float, air: float) -> 
         least: force that the model may be wrong by [N].
         most: that the surface may bear [N].
         T: cycle [s].
-        air: time for which the air is heard, w₀ [s].
+        air: averaging time in the air, w₀ [s].
     """
     cycles = np.arange(1, round(WINDOW / T) + 1)
     force = np.maximum(SURELY * scatter * np.sqrt(1.0 / cycles + T / air), least)
@@ -186,15 +186,15 @@ def soonest(scatter: float, least: float, most: float, T: float, air: float) -> 
 
 
 class Hearing:
-    r"""How slowly a surface has to be pressed for the motors to measure a force sensor's gain.
+    r"""How slowly a surface has to be pressed so that the motors can measure a force sensor's gain.
 
-    While the force rises from 0 to F in the time t, a line of :math:`t/T` torques of scatter :math:`\sigma_j` beside an
-    unknown friction tells κ within
+    While the force rises from 0 to F in the time t, a regression over :math:`t/T` torques of standard deviation
+    :math:`\sigma_j` with an unknown friction determines κ within
 
     .. math:: \sigma_\kappa^2 = \frac{12\, T}{t\, F^2 \sum_j (g_j / \sigma_j)^2}
 
-    over the joints that slide, with :math:`g = J^T d`. To know it better than gears and drives do is of no use, so
-    that is ``LOSSES``.
+    over the joints that slide, with :math:`g = J^T d`. A standard deviation below that of gear and drive losses is of
+    no use; it is ``LOSSES``.
 
     Args:
         model, robot, kinematics: of the arm.
@@ -212,24 +212,24 @@ class Hearing:
         self._ways = SLIDES * model.friction.distance / np.maximum(rates, ROUNDING)
 
     def seconds(self, way: float) -> float:
-        """Time t in which the force has to rise, where the tip has gone straight on for a way [m] before."""
+        """Time t in which the force has to rise after a straight motion of the distance ``way`` [m]."""
         told = float(np.sum(self._loud[self._ways <= way]))
         return 12.0 * self._T / (LOSSES * self._force) ** 2 / max(told, ROUNDING)
 
     def fastest(self, stiffness: float, way: float) -> float:
-        """Largest speed [m/s] on a contact of a stiffness [N/m], after a way [m], at which the gain is measured."""
+        """Largest speed [m/s] on a contact of a stiffness [N/m], after a distance [m], that measures the gain."""
         return self._force / (stiffness * self.seconds(way))
 
     def quickest(self, stiffness: float) -> tuple[float, float]:
-        """The way through air [m], and the speed after it [m/s], by which the gain is measured soonest.
+        """Distance through air [m] and the speed after it [m/s] with which the gain is measured in the shortest time.
 
-        The more joints are to slide, the longer the way, and the less slowly the force has to rise.
+        The longer the distance, the more joints slide, and the faster the force may rise.
         """
         plans = [(float(way), self.fastest(stiffness, float(way))) for way in self._ways]
         return min(plans, key=lambda plan: (plan[0] + self._force / stiffness) / plan[1])
 
 
-# Along a path: what the motors feel beyond what the force sensor tells.
+# Along a path: the force that the motor torques show beyond that of the force sensor.
 
 HEARD = 0.01
 """Time after which the motors are asked again [s]; a cycle of 12 ms asks each time."""
@@ -248,19 +248,19 @@ sensors come to 11 N on the simulated KR 6, of 13 N that stop it: ``glue`` at 0.
 
 
 class BeyondSensor:
-    r"""Force that the motors feel and the force sensor does not: a random walk, seen through the joints that slide.
+    r"""Contact force that the motor torques show and the force sensor does not, estimated as a random walk.
 
-    With the torque :math:`g_j` of one newton of contact in joint j, the rest that neither model nor sensor explain is
+    With the torque :math:`g_j` of one newton of contact in joint j, the residual of model and sensor is
 
     .. math:: r_j = \tau_j - \tau_{M,j} + g_j F = - g_j e + \zeta_j b_j + \nu_j, \qquad
               \mathrm{var}\, \nu_j = \frac{2\, u_j^2}{T} (t_0 + x_0 / |\dot q_j|)
 
-    :math:`\tau_M` is what the model says of the motion that the motors made, not of what was wanted: the arm swings on
-    its gears, and a joint turns round earlier or later. The direction of sliding ζ is followed along the motor angles
-    (Dahl, see ``ideal_robot.friction.presliding``). Friction b beside the model's is as large as its residual σ and
-    stays as it is for a way, slow joints' for long: it turns round with the motion, the force e does not, which tells
-    them apart. What is left, ν, is the residual, and of the friction :math:`\tau_F` what has not turned yet,
-    :math:`u = \sigma + (1 - |\zeta|)\, \tau_F`; that stays as it is for a time and a way.
+    :math:`\tau_M` is the model's torque of the measured motion, not of the desired one: the arm oscillates on its
+    gears, and a joint reverses earlier or later. The direction of sliding ζ is followed along the motor angles (Dahl,
+    see ``ideal_robot.friction.presliding``). Friction b beside the model's is as large as its residual σ and stays as
+    it is for a way, slow joints' for long: it turns round with the motion, the force e does not, which tells them
+    apart. What is left, ν, is the residual, and of the friction :math:`\tau_F` what has not turned yet, :math:`u =
+    \sigma + (1 - |\zeta|)\, \tau_F`; that stays as it is for a time and a way.
 
     Args:
         model: of the arm, which says how large its residual σ is.
@@ -280,16 +280,16 @@ class BeyondSensor:
 
     @property
     def excess(self) -> float:
-        """The force e now [N]."""
+        """The present force e beyond the sensor's [N]."""
         return float(self._filter.x[0])
 
     def hear(self, measured: RobotState, torque: Array, felt: float, speed: float) -> None:
-        """One cycle in contact, of which ``weigh`` makes something.
+        """Adds one cycle in contact; ``weigh`` evaluates it.
 
         Args:
             measured: at its end; torques that are NaN say nothing, and motions before and after do not belong together.
             torque: joint torques of one newton of contact ``(n,)`` [N m/N].
-            felt: normal force that the sensor tells [N].
+            felt: normal force of the sensor [N].
             speed: of the tip along the surface [m/s].
         """
         if not np.isfinite(measured.tau).all():
@@ -302,14 +302,14 @@ class BeyondSensor:
         self._waited, self._travelled = self._waited + self._T, self._travelled + abs(speed) * self._T
 
     def stood(self) -> None:
-        """The arm stood: motions before and after do not belong together, and friction is another one."""
+        """Resets friction after a standstill, as motions before and after it are independent."""
         self._heard.clear()
         self._sliding = np.zeros(self._model.n)
         self._filter.x[1:] = 0.0
         self._filter.P = np.diag(np.r_[self._filter.P[0, 0], self._model.noise_std**2])
 
     def weigh(self) -> None:
-        """Makes of what was heard last how much more the motors feel, if it is time."""
+        """Updates the estimated force beyond the sensor's from the last cycles, once per complete block."""
         if self._waited < HEARD or len(self._heard) < 2 * self._apart + 1:
             return
         waited, torque, apart = self._waited, self._torque, self._apart * self._T

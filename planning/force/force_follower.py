@@ -1,4 +1,4 @@
-"""Keeping a contact force along a surface of unknown shape, and a line on it at the same time ([L] 4.2, 4.3)."""
+"""Keeps a contact force along a surface of unknown shape, and follows a line on it at the same time ([L] 4.2, 4.3)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ Errors = tuple[float, float, float]
 
 
 def surface_filter(errors: Errors) -> FilterBank:
-    """The filter of a surface's height of which nothing is known but that it is smooth."""
+    """The filter of a surface's height, of which nothing is known but that it is smooth."""
     return FilterBank([DeviationFilter(model, biases={"force": errors}) for model in surfaces()])
 
 
@@ -59,8 +59,8 @@ class SurfaceFollower:
 
     Both sensors measure the same thing, the deviation :math:`\Delta x_r` of the path from its reference, in directions
     that are neither the same nor orthogonal: the camera across the path in the nominal plane, the force along the
-    surface's own normal. One filter holds a map of the deviation in two directions over arc length; late samples belong
-    to where the arm was ([L] (5)), so they are as good as others.
+    surface's own normal. One filter holds a map of the deviation in two directions over arc length; late samples are
+    assigned to the place where the arm was ([L] (5)), so delay does not harm them.
 
     Args:
         robot: the arm.
@@ -111,7 +111,7 @@ class SurfaceFollower:
         return self._q_start.copy()
 
     def observe(self, t: float, q_a: Array) -> None:
-        """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before the samples of the cycle."""
+        """Stores the arm angles ``(n,)`` [rad] measured at ``t`` [s]; call it before each cycle's samples."""
         self.history.add(t, q_a)
 
     def speed_at(self, t: float) -> float:
@@ -123,13 +123,13 @@ class SurfaceFollower:
         return self.profile.at(t - self.t_travel)[0] if np.isfinite(self.t_travel) else 0.0
 
     def press_as(self, elasticity: float) -> None:
-        """Assumes this elasticity of tip and surface [N/m] from now on."""
+        """Uses this elasticity of tip and surface [N/m] from now on."""
         self.settings = replace(self.settings, elasticity=elasticity)
         if self._contact_since is None:
             self.fusion = self._fresh()
 
     def ask(self, amplitude: float) -> None:
-        """Swings the tip by this force [N] from now on, but for ``LOUDEST`` of the wanted one."""
+        """Makes the tip oscillate by this force [N] from now on, limited to ``LOUDEST`` of the desired one."""
         self.settings = replace(self.settings, asking=min(amplitude, LOUDEST * self.settings.force))
 
     def _fresh(self) -> FilterBank:
@@ -138,12 +138,12 @@ class SurfaceFollower:
 
     @property
     def errors(self) -> Errors:
-        """What is estimated of the force on a contact of the elasticity that is assumed."""
+        """Estimated errors of the force for a contact of the assumed elasticity."""
         ratio, lateness = self._force_errors
         return ratio, min(lateness, self.settings.lateness), FRICTION
 
     def fuse(self, t: Array, measurement: Measurement) -> Fused:
-        """Fuses what ``measured`` made of the forces at ``t (m,)`` [s]; what their innovations say of their noise."""
+        """Fuses a measurement that ``measured`` returned, and updates the noise of the forces by its innovations."""
         fused = self.fusion.update(measurement)
         if self.phase is Phase.TRAVEL:
             self.noise.hear(t, self.settings.elasticity * fused.innovation[:, None])
@@ -160,7 +160,7 @@ class SurfaceFollower:
         points = np.array([pose.translation for pose in poses])
         forces = np.array([pose.rotation @ f for pose, f in zip(poses, contact, strict=True)])
         s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=TOGETHER)
-        # Before the travel all is felt at one place. How the tip gives way there while the force rises is no slope.
+        # Before the travel the tip stays at one place. Its deflection there while the force rises is no slope.
         s = np.where(t < self.t_travel, 0.0, s)
         frames = self.reference.frames(s)
         middle = len(t) // 2
@@ -177,18 +177,19 @@ class SurfaceFollower:
         deviations = [force_deviation(f, up, settings.force, settings.elasticity, sigma=self.noise.std, normal=normal)
                       for f in forces]
         value = np.array([deviation.value for deviation in deviations])
-        # A tip with damping adds a share of the velocity into the surface; along it there is none.
+        # A tip with damping adds a force proportional to its velocity into the surface; along the surface there is
+        # none.
         sinking = float(self.history.velocity(max(float(t[middle]), self.history.first + 2e-3))[0] @ normal)
         covariance = np.diag([deviation.sigma**2 for deviation in deviations]) + self._in_common(value, sinking)
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
-            # With a camera the force says how far to go along the surface's normal, not along the reference's. While
-            # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
+            # With a camera the force measures the distance along the surface's normal, not along the reference's. While
+            # the line is not known the force refers to the tip's place, and says nothing lateral.
             direction = np.tile([normal @ across, normal @ up], (len(t), 1))
             origin, value = direction[:, 0] * lateral + direction[:, 1] * height, value * float(normal @ up)
         else:
             direction, origin = np.tile([0.0, 1.0], (len(t), 1)), height
         value = origin + value
-        # With E assumed too large a deviation is felt as too small, by a ratio.
+        # With E assumed too large a deviation is measured as too small, by a ratio.
         wrong = np.column_stack([np.zeros(len(t)), np.full(len(t), sinking),
                                  np.full(len(t), self._by_friction(float(s.mean())))])
         return Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
@@ -196,7 +197,7 @@ class SurfaceFollower:
 
     def _in_contact(self, t: Array) -> bool:
         """Whether what was felt at ``t (m,)`` [s] is a contact that is kept; the first one ends the approach."""
-        # Noise alone is as large as this in one of some three million means.
+        # Noise alone exceeds this in one of some three million means.
         if self.force > max(self.settings.touch, SURELY * self.noise.std / np.sqrt(len(t))):
             self.last_touch = max(self.last_touch, float(np.max(t)))
             if self._contact_since is None:
@@ -207,11 +208,11 @@ class SurfaceFollower:
     def _in_common(self, value: Array, sinking: float) -> Array:
         """Covariance ``(m, m)`` [m²] of what a cycle's samples have in common; ``sinking``: the tip's way out [m/s]."""
         if self.phase is Phase.SETTLE:
-            # At the wanted force the height is known whatever E is; on the way there E is as doubtful as at first. How
-            # the tip gives way while the force rises tells little of E along the path.
+            # At the desired force the height is known whatever E is; while the force rises E is as uncertain as at
+            # first. The deflection while the force rises tells little of E along the path.
             return self.settings.position_noise**2 + FORCE_ERRORS[0] ** 2 * np.outer(value, value)
-        # By how much the arm swings later than it is thought to is not the same all the way. Taken for surface, a
-        # forecast by a short length scale makes thirty times as much of it, and the arm swings all the more.
+        # The delay error of the arm's oscillation is not constant over the path. A forecast with a short length scale
+        # would mistake it for surface, enlarge it thirty times, and excite the arm even more.
         common = self.settings.position_noise**2 + (FORCE_ERRORS[1] * sinking) ** 2
         return np.full((len(value), len(value)), common)
 
@@ -249,13 +250,13 @@ class SurfaceFollower:
 
     @property
     def descended(self) -> float:
-        """How far the approach has come down [m]."""
+        """Distance that the approach has descended [m]."""
         return self._height - float(self._plan.position[0, 1])
 
     def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 
-        A cycle that has no time to plan ``anew`` goes on as planned before. Raises ``OutOfReachError`` where the
+        A cycle without time for a new plan (``anew``) continues the last one. Raises ``OutOfReachError`` where the
         surface leads out of the arm's reach.
         """
         self.advance(t)
@@ -276,7 +277,7 @@ class SurfaceFollower:
         return np.clip(cycles - travel, 0, len(self._table) - 1).astype(int)
 
     def advance(self, t: float) -> None:
-        """Goes on to the cycle ``t`` [s]: looks whether the next phase begins; part of ``horizon``."""
+        """Advances to the cycle ``t`` [s] and starts the next phase when it is due; part of ``horizon``."""
         k = round(t / self._T)
         self.fusion.travel(self.s_at(t))
         self._plan.advance(k)
@@ -302,7 +303,7 @@ class SurfaceFollower:
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
         elif self.phase in (Phase.SETTLE, Phase.TRAVEL):
-            # From the touch on, so that a sensor has answered before the tip leaves the place that it was felt at.
+            # The oscillation begins at the touch, so that the sensor is tested before the tip leaves that place.
             depth = self.settings.asking / self.settings.elasticity
             estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self._contact_since))
         elif self.phase in (Phase.LIFT, Phase.DONE):
@@ -311,7 +312,7 @@ class SurfaceFollower:
         return np.asarray(estimate)
 
     def done(self, t: float) -> bool:
-        """See ``planning.follower.Follower``."""
+        """Whether the cycle that began at ``t`` [s] is the last one; see ``planning.follower.Follower``."""
         return self.phase is Phase.DONE
 
     def desired_deviation(self, t: float) -> Array:
@@ -320,7 +321,7 @@ class SurfaceFollower:
 
     @property
     def normal(self) -> Array:
-        """Out of the surface where the tip is, as map and force show it ``(3,)`` [base frame]."""
+        """Unit vector out of the surface at the tip, by map and force ``(3,)`` [base frame]."""
         frames = self.reference.frames(np.array([self.s_at(self._plan.cycle * self._T)]))
         normal = frames.up[0] - self.slope[0] * frames.tangent[0] - self.slope[1] * frames.normal[0]
         return np.asarray(normal / np.linalg.norm(normal))
@@ -335,15 +336,15 @@ class SurfaceFollower:
         return np.tile(self._kinematics.torque(q_d[0], self.settings.force * self.normal), (len(q_d), 1))
 
 
-# Direct force feedback, [L] (1): the usual way, and the baseline.
+# Direct force feedback, [L] (1): the usual method, and the baseline.
 
 class DirectForceFeedback:
     r"""Adds the force error, times a gain, to the command at every cycle.
 
     .. math:: x_c(k) = x_c(k-1) + (x_r(k) - x_r(k-1)) + K_p\, \Delta s(k) + K_d\, (\Delta s(k) - \Delta s(k-1))
 
-    [L] (1) with the reference's own motion added; Δs is the force error along the nominal normal. The approach is the
-    follower's, whose phases it shares: only what keeps the force differs.
+    [L] (1) with the reference's own motion added; Δs is the force error along the nominal normal. Approach and phases
+    are the follower's; only the force control differs.
 
     Args:
         follower: for reference, phases and the record of poses; its map is not used.
@@ -363,7 +364,7 @@ class DirectForceFeedback:
         """How far the tip has been lifted at the end [m]."""
 
     def horizon(self, t: float, q_d: Array) -> Array:
-        """The follower's horizon ``(n_d, n)`` [rad] until there is contact; it then goes its own way."""
+        """The follower's horizon ``(n_d, n)`` [rad] until there is contact; this controller's own path from then on."""
         if self._follower.phase is Phase.APPROACH:
             return self._follower.horizon(t)
         self._follower.advance(t)
@@ -374,11 +375,11 @@ class DirectForceFeedback:
         return self.lifted >= self._follower.settings.lift
 
     def update(self, force: float) -> None:
-        """Takes the newest normal force [N]."""
+        """Stores the newest normal force [N]."""
         self._error = force - self._follower.settings.force
 
     def command(self, t: float, q_d: Array) -> Array:
-        """Commanded joint angles ``(n,)``; ``q_d`` is the follower's horizon, which it keeps to before contact."""
+        """Commanded joint angles ``(n,)``; before contact those of ``q_d``, the follower's horizon."""
         follower = self._follower
         if follower.phase is Phase.APPROACH:
             self._q = q_d[0].copy()

@@ -1,12 +1,12 @@
-r"""How much a force sensor scatters: found in the air and on the way, told by nobody.
+r"""Estimates the noise of a force sensor, in the air and on the surface; no setting is needed.
 
-White noise of variance σ² shows in the differences of successive innovations, from which bias, weight and what the
-surface does slowly are gone:
+White noise of variance σ² shows in the differences of successive innovations, which contain neither bias nor weight nor
+slow changes of the surface:
 
 .. math:: \hat\sigma^2 = \frac{\nu_0 \sigma_0^2 + \sum_k \frac{1}{2} (e_k - e_{k-1})^2}{\nu_0 + n}
 
 In the air the force is known, zero, and e are the forces themselves; along a surface e are the innovations of the
-filter, as forces. It is the mean of an inverse gamma prior of ν₀ samples and of what was heard, old samples forgotten.
+filter, as forces. It is the mean under an inverse gamma prior of ν₀ samples; old samples are forgotten.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ForceNoise:
     """Standard deviation of a force sample [N], estimated from successive samples.
 
     Args:
-        assumed: before anything was heard [N].
+        assumed: before any sample [N].
     """
 
     def __init__(self, assumed: float) -> None:
@@ -44,7 +44,7 @@ class ForceNoise:
         return max(float(np.sqrt(self._sum / self._weight)), LEAST)
 
     def hear(self, t: Array, error: Array) -> None:
-        """Takes forces less what was expected of them.
+        """Adds errors of the predicted force, measured less expected, at instants ``t`` [s].
 
         Args:
             t: instants ``(m,)`` [s], rising.

@@ -7,8 +7,8 @@ a field measures the deviation :math:`\Delta x_r` not along the path's lateral n
 
 with the components :math:`r_n, r_u` of the ray across the path and out of the surface. The force measures along the
 surface's normal: two sensors whose directions are neither the same nor orthogonal, and one filter for both. A camera
-that looks nearly straight down (``OBLIQUE``) determines the height too badly: there the height is
-taken from the map, with its variance.
+that looks nearly straight down (``OBLIQUE``) hardly determines the height, which is then taken from the map with its
+variance.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class SightSettings:
     """Assumed errors of the camera, and when a field is rejected.
 
     Attributes:
-        noise: lateral error of a point beside what its detection states [m].
+        noise: lateral error of a point in addition to that of its detection [m].
         common: lateral error common to all points of a field [m].
         yaw, stamp, scale: standard deviations of mounting angle [rad], time stamps [s] and relative distance (or focal
             length); all are estimated on the way.
@@ -69,7 +69,7 @@ class SightSettings:
 
 
 class LineOnSurface:
-    """Where to look for the line, and what a field says of the deviation in both directions.
+    """Predicts the line for the camera, and measures the deviation in both directions from its fields.
 
     Args:
         follower: whose map is used and updated; made with ``lateral=True``.
@@ -100,7 +100,7 @@ class LineOnSurface:
         first = min(max(near, passed), max(near, far - NARROW))
         s = s_now + np.linspace(first, min(far, first + 0.1), 5)
         step, m = 1e-3, len(s)
-        # Of what the tool has passed the map knows nothing: in a field that is so late it is as where the tool is.
+        # The map does not cover what the tool has passed: for a late field such places take the values at the tool.
         places = np.maximum(np.concatenate([s, s - step, s + step]), follower.fusion.s)
         d, variance = follower.fusion.deviation(places)
         slope = (d[2 * m :] - d[m : 2 * m]) / (2 * step)
@@ -113,7 +113,7 @@ class LineOnSurface:
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, whenever it arrives; None if it showed nothing.
 
-        The TCP's ``pose`` at the exposure is interpolated from what was observed by default.
+        The TCP's ``pose`` at the exposure is by default interpolated from the observed arm angles.
         """
         if not line.seen:
             return None
@@ -122,7 +122,7 @@ class LineOnSurface:
             return None
         measurement = self._measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
         reason = self._implausible(measurement)
-        # What the tool has passed meanwhile tells nothing of what is ahead, and the filter would go back for it.
+        # Places that the tool has passed do not inform about those ahead, and would make the filter go back in time.
         ahead = measurement.s >= self.follower.fusion.s
         if reason or not ahead.any():
             nothing = np.zeros(len(measurement.s), dtype=bool)
@@ -142,13 +142,13 @@ class LineOnSurface:
         axis = self._camera.rotation[:, 2]
         beside = points_tcp - self._camera.translation
         beside -= np.sum(beside * axis, axis=1)[:, None] * axis
-        # A wrongly assumed distance scales what is seen beside the optical axis.
+        # A wrong distance to the surface scales the seen points about the optical axis.
         lever = (points_tcp + (settings.distance_ratio - 1.0) * beside) @ pose.rotation.T
         beside = beside @ pose.rotation.T
         points = lever + pose.translation
         s, lateral, height = follower.reference.project(points, follower.s_at(t) + SEEN_AHEAD)
         frames = follower.reference.frames(s)
-        # As in ``LineFollower``: turned about the camera, moved on the tool.
+        # Derivatives as in ``LineFollower``: rotation about the camera, displacement of the tool.
         ray = points - eye
         turned, moved, _ = sensor_errors(frames.normal, frames.up, ray, lever, *follower.history.velocity(t))
         g = np.column_stack([np.ones(len(s)), -np.vecdot(ray, frames.normal) / np.vecdot(ray, frames.up)])
@@ -156,8 +156,9 @@ class LineOnSurface:
         value = g[:, 0] * lateral + g[:, 1] * (height - self._sunk)
         extra = np.zeros(len(s))
         if np.max(np.abs(g[:, 1])) < OBLIQUE:
-            # Seen from nearly above the height hardly shows: it is taken from the map, with its variance. Otherwise
-            # every small lateral contradiction would become a large error of the height, which force measures better.
+            # From nearly above a picture hardly shows the height, which is taken from the map with its variance.
+            # Otherwise a small lateral contradiction would become a large error of the height, which the force measures
+            # better.
             d, variance = follower.fusion.deviation(s)
             value = value - g[:, 1] * d[:, 1]
             extra = g[:, 1] ** 2 * variance[:, 1]
@@ -189,7 +190,7 @@ class LineOnSurface:
         return "" if abs(earlier - here) < settings.agreement else "does not agree with the field before"
 
     def check(self, t: float) -> None:
-        """Raises ``LineLostError`` if the line has not been seen for too long a way of the travel."""
+        """Raises ``LineLostError`` if the line has not been seen over too long a distance of the travel."""
         if self.follower.phase is not Phase.TRAVEL:
             return
         s, limit = self.follower.s_at(t - self.settings.latency), self.settings.max_gap

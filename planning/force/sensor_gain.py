@@ -1,16 +1,16 @@
-r"""The gain of a force sensor, measured against what else knows the force: a stated weight, or the motors.
+r"""The gain of a force sensor, measured against another source: a stated weight, or the motors.
 
-A sensor of gain γ shows γ times the force. A tool of known mass m that it weighs as :math:`\hat m` says
-:math:`\gamma = \hat m / m`. While the tip is pressed slowly and evenly, what the motors give beyond the model's torque
-is what the environment takes, so with the force :math:`F_s` that the sensor shows
+A sensor of gain γ shows γ times the force. A tool of known mass m that it weighs as :math:`\hat m` says :math:`\gamma =
+\hat m / m`. While the tip is pressed slowly and evenly, the motors' torque beyond the model's balances the external
+force, so with the force :math:`F_s` that the sensor shows
 
 .. math:: r_j = \tau_j - \tau_{M,j} = b_j + \delta_{jk} + \epsilon_{jk}\, e^{-x_j / d_j} - \kappa\, (J^T F_s)_j
               + \nu_j, \qquad \kappa = 1/\gamma
 
-Friction beside the model's, b, stays while the joints slide on. It is another one by δ at each other speed k, to which
-it comes over the presliding distance d of the way x since that speed was reached; δ and ε are no larger
-than dry friction itself, as slow as that is. ν is what the torques scatter by from cycle to cycle, and in blocks of
-some tenths of a second by as much more as their mean leaves there; it may be alike in neighbouring blocks.
+Friction beside the model's, b, stays while the joints slide on. At each other speed k it differs by δ, which it reaches
+over the presliding distance d, with x the distance since that speed was reached; δ and ε are no larger than dry
+friction itself, as slow as that is. ν is what the torques scatter by from cycle to cycle, and in blocks of some tenths
+of a second by as much more as their mean leaves there; it may be alike in neighbouring blocks.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ harder."""
 
 @dataclass(frozen=True)
 class SensorGain:
-    """A gain as one witness knows it.
+    """A sensor's gain with its standard deviation, as one source measured it.
 
     Attributes:
         inverse: κ = 1/γ, the true force over the one that is shown; 1 is right.
@@ -73,33 +73,33 @@ class SensorGain:
 
     @property
     def shown(self) -> str:
-        """The gain with its standard deviation and its witness, in words."""
+        """The gain with its standard deviation and its source, in words."""
         return f"{self.value:.2f} ± {self.sigma * min(self.value, 9.0) ** 2:.2f} by {self.witness}"
 
     @property
     def wrong(self) -> bool:
-        """Whether a sound sensor would show this once in 10⁵ times."""
+        """Whether the gain deviates from 1 so far that a correct sensor would show it once in 10⁵ times."""
         return not ((self.inverse - 1.0) / self.sigma) ** 2 <= chdtri(1, BY_CHANCE)
 
     @property
     def at_most(self) -> float:
-        """The true force over the shown one, two standard deviations above what was measured."""
+        """Upper bound of the true force over the shown one: two standard deviations above the estimate."""
         return self.inverse + _TWO_SIGMA * self.sigma
 
     @property
     def ratio(self) -> tuple[float, float]:
-        """κ and its standard deviation."""
+        """The ratio κ = 1/γ of the true force to the shown one, and its standard deviation."""
         return self.inverse, self.sigma
 
     @property
     def passes(self) -> tuple[float, float]:
-        """Gains that would not be noticed, in half of the cases: the least and the largest."""
+        """The least and the largest gain that this test would accept in half of the cases."""
         far = float(np.sqrt(chdtri(1, BY_CHANCE))) * self.sigma
         return 1.0 / (1.0 + far), 1.0 / (1.0 - far) if far < 1.0 else np.inf
 
     @property
     def text(self) -> str:
-        """The test's result in words, with what would pass it."""
+        """The test's result in words, with the gains that it would accept."""
         least, largest = self.passes
         return f"{self.shown}; one from {least:.2f} to {largest:.2f} would pass"
 
@@ -115,7 +115,7 @@ UNKNOWN = SensorGain(1.0, PRIOR, "nobody")
 
 
 def best_known(gains: Iterable[SensorGain]) -> SensorGain:
-    """The gain as the witness has it that knows it best; ``UNKNOWN`` without one."""
+    """The gain of the source with the smallest standard deviation; ``UNKNOWN`` without one."""
     return min(gains, key=lambda gain: gain.sigma, default=UNKNOWN)
 
 
@@ -125,13 +125,13 @@ NOT_MEASURED = ("not measured: whatever it is, the surface bears as much more th
 
 
 def wrong_gain(gain: SensorGain) -> str:
-    """What a gain is refused with."""
+    """The error message for a wrong gain."""
     return (f"the force sensor's gain is {gain.shown}, where a sound sensor's is 1; have it calibrated, and check its "
             "range, its counts per newton and what was stated")
 
 
 def gain_by_weight(tool: ToolLoad, mass: float) -> SensorGain:
-    """The gain by which a tool of a stated mass was weighed.
+    """The gain from a tool of stated mass and the mass by which the sensor weighed it.
 
     Args:
         tool: as it was weighed.
@@ -142,15 +142,15 @@ def gain_by_weight(tool: ToolLoad, mass: float) -> SensorGain:
 
 
 def block_cycles(T: float, lasts: float) -> int:
-    """Cycles of a block, for cycles of T [s] and a way through air that lasts so long [s]."""
+    """Cycles per block, for cycles of T [s] and a distance through air that lasts ``lasts`` [s]."""
     return round(max(BLOCK, lasts / _BLOCKS) / T)
 
 
 class GainByMotors:
-    """The gain by the motors, from cycles in which the tip goes on evenly.
+    """Estimates a force sensor's gain from the motor torques, in cycles in which the tip moves evenly.
 
     Args:
-        beside: standard deviation of what another speed may change a torque by beside the model ``(n,)`` [N m].
+        beside: standard deviation of the unmodelled change of a torque with the speed ``(n,)`` [N m].
         distance: presliding distance of the joints ``(n,)`` [rad].
         cycles: of a block.
     """
@@ -166,10 +166,10 @@ class GainByMotors:
         self._told: tuple[int, SensorGain | None] = 0, None
 
     def add(self, rest: Array, arm: Array, way: Array, speed: float) -> None:
-        """A cycle of even motion.
+        """Adds a cycle of even motion.
 
         Args:
-            rest: torques beyond the model's ``(n,)`` [N m]; not finite where the controller tells none.
+            rest: torques beyond the model's ``(n,)`` [N m]; not finite where the controller reports none.
             arm: torques of the force that the sensor shows, Jᵀ F ``(n,)`` [N m].
             way: since each joint turned round ``(n,)`` [rad].
             speed: of the tip [m/s].
@@ -188,7 +188,7 @@ class GainByMotors:
             rests, arms, ways = (np.array(part) for part in zip(*self._now, strict=True))
             slides = ways[0] > SLIDES * self._distance
             changes = np.exp(-(ways.mean(axis=0) - self._from) / self._distance)
-            # Of neighbours, what drifts falls out.
+            # Differences of neighbours remove slow drift.
             white = np.mean(np.diff(rests, axis=0) ** 2, axis=0) / 2.0
             self._blocks.append((self._speeds.index(self._speed), rests.mean(axis=0), arms.mean(axis=0), white, slides,
                                  changes))
@@ -196,18 +196,18 @@ class GainByMotors:
 
     @property
     def told(self) -> SensorGain | None:
-        """What is known by now; None while it is nothing."""
+        """The gain as estimated so far; None while it is not determined."""
         if self._told[0] != len(self._blocks):
             self._told = len(self._blocks), self._gain()
         return self._told[1]
 
     @property
     def scatter(self) -> Array | None:
-        """What the torques scatter by from cycle to cycle ``(n,)`` [N m]; None before any block was heard."""
+        """Standard deviation of the torques from cycle to cycle ``(n,)`` [N m]; None before the first block."""
         return np.sqrt(np.mean([block[3] for block in self._blocks], axis=0)) if self._blocks else None
 
     def uneven(self) -> None:
-        """The motion changes its speed: friction comes to another one from now on."""
+        """Notes that the motion changes its speed, so that friction changes from now on."""
         self._now.clear()
         self._from = None
         self._speed = None
@@ -221,7 +221,7 @@ class GainByMotors:
                                                                             strict=True))
         noise = np.sqrt(np.maximum(white.mean(axis=0), _SILENT) / self._cycles)
         joints = np.flatnonzero(slides.sum(axis=0) >= FEWEST)
-        # κ, and of each joint b, and δ and ε at each speed.
+        # Unknowns: κ, and for each joint b, and δ and ε at each speed.
         S = len(self._speeds)
         rows, precision = list[Array](), [0.0]
         for i, j in enumerate(joints):
@@ -238,7 +238,7 @@ class GainByMotors:
         variance = float(known.covariance[0, 0])
         if variance > PRIOR**2:
             return None
-        # Where blocks scatter by more than noise makes of them, their scatter counts.
+        # Where blocks scatter more than noise explains, their own scatter is used.
         variance *= max(known.squares / max(len(columns) - len(joints) - 1, 1), 1.0)
         drifting = sum(_drifting(one[:, :-1] @ known.covariance[0], one[:, -1] - one[:, :-1] @ known.mean)
                        for one in rows)

@@ -1,4 +1,4 @@
-"""The surface that a tip feels, as a Gaussian process along the path, and where the arm was while it felt it."""
+"""The surface's height as a Gaussian process along the path, and the arm angles while it was measured."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class SmoothSurface(DeviationModel):
               \left( \frac{1}{\lambda} \frac{d}{ds} + 1 \right)^{p+1} f = w, \quad \lambda = \sqrt{2 p + 1} / l
 
     with white w: the Gaussian process with Matérn's kernel of ν = p + 1/2 and length scale l (Hartikainen and Särkkä
-    2010). Its states are f and its p derivatives, in units of 1/λ, where the tip is. What is ahead follows from them
-    by F(Δs), with the variance of what comes to it on the way. The kernel says that a surface is smooth and nothing
-    else of its shape.
+    2010). Its states are f and its p derivatives, in units of 1/λ, where the tip is. The height ahead follows from them
+    by F(Δs), with a variance that grows with Δs. The kernel says that a surface is smooth and nothing else of its
+    shape.
 
     Args:
         length: l [m].
@@ -80,13 +80,13 @@ class SmoothSurface(DeviationModel):
         return -np.inf if self._across is None else self._across.begin
 
     def basis(self, s: Array, stand: Stand | None = None) -> Array:
-        """Across the path its own model's; the height from the derivatives where the state stands."""
+        """Deviation per state ``(m, directions, size)``: the map's across the path, the derivatives' in height."""
         s = np.asarray(s, dtype=float)
         stand = stand or Stand(self.begin, 0.0)
         return np.asarray(_basis(s, self._rate * (s - stand.s), self._rows_across(s, stand), self._first_rows))
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
-        """The step of the map across the path."""
+        """Transition ``(F, Q)`` of the map across the path when the arm has reached ``s``; None if there is none."""
         step = None if self._across is None else self._across.travel(s)
         if step is None:
             return None
@@ -95,23 +95,23 @@ class SmoothSurface(DeviationModel):
         return F, Q
 
     def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
-        """The process goes on by ``way`` [m]; of ``out`` its own block is written."""
+        """Transition ``(F, Q)`` of the state over a distance ``way`` [m]; only its own block of ``out`` is written."""
         F, Q = (np.eye(self.size), np.zeros((self.size, self.size))) if out is None else out
         _carry(self._rate * way, self._powers, self._stationary, F[self._height, self._height],
                Q[self._height, self._height])
         return F, Q
 
     def told(self, s: Array, stand: Stand) -> bool:
-        """The process is Markov's: what is ahead of the state depends on what is behind it by the state alone."""
+        """Whether earlier measurements bear on the deviation at ``s (m,)`` [m] through the state alone."""
         return bool(s.min() >= stand.s)
 
     def spread(self, s: Array, stand: Stand) -> Array:
-        """What comes to the height between where the state stands and ``s`` ``(m, 2)`` [m²]."""
+        """Variance that the height gains between the state's place and ``s``, ``(m, 2)`` [m²]."""
         return np.asarray(_left(self._rate * (s - stand.s), self._first_rows, self._stationary))
 
 
 class RowsAcross:
-    """Rows of the map across the path, kept for the last places, as all length scales ask for the same ones."""
+    """Caches the rows of the map across the path for the last places, which all length scales share."""
 
     def __init__(self, model: PathDeviation | None) -> None:
         self._model = model
@@ -183,7 +183,7 @@ def surfaces(across: Callable[[], PathDeviation] | None = None,
     return [SmoothSurface(length, lateral, rows) for length, lateral in zip(lengths, maps, strict=True)]
 
 
-# Where the arm was while it was in contact: the observer behind the gears, run again once the force is known.
+# The arm angles while in contact: the observer behind the gears, repeated once the forces are known.
 
 KEPT = 0.2
 """Time for which a cycle waits for its force; after that the expected one has to do [s]."""
@@ -202,11 +202,11 @@ class _Cycle:
 
 
 class FeltArm:
-    r"""Arm angles from motor angles and contact forces, of which the sensed ones come late.
+    r"""Estimates arm angles from motor angles and from contact forces, which arrive late.
 
-    A force that is not the expected one bends the gears and swings the arm on them. An observer that is told the
-    expected one takes that swing for a shape of the surface, and the stiffer the contact, the more force answers it. So
-    each cycle is first estimated with the torques that are expected, and again when its forces have arrived:
+    A force that is not the expected one bends the gears and swings the arm on them. An observer with the expected force
+    mistakes that oscillation for a shape of the surface, and a stiff contact turns it into force. So each cycle is
+    first estimated with the torques that are expected, and again when its forces have arrived:
 
     .. math:: \tau_{ext} = J(q_a)^T F, \qquad F = \text{the mean of the cycle's samples}
 
@@ -222,13 +222,13 @@ class FeltArm:
         self._cycles: deque[_Cycle] = deque()
 
     def step(self, t: float, q: Array, expected: Array, steps: int = 1) -> Array:
-        """The arm angles ``(n,)`` [rad] at ``t`` as far as is known now.
+        """The arm angles ``(n,)`` [rad] at ``t``, with the forces received so far.
 
         Args:
             t: end of the cycle [s].
             q: motor angles then ``(n,)`` [rad].
             expected: joint torques of the contact during it ``(n,)`` [N m].
-            steps: cycles of the controller that it stands for: of those before the last nothing was heard.
+            steps: number of controller cycles since the last call; more than one if cycles were missed.
         """
         before = self._cycles[-1].state if self._cycles else self._settled
         self._cycles.append(_Cycle(t, q, expected, [], self._went_on(before, q, expected, steps), steps))
@@ -237,9 +237,9 @@ class FeltArm:
         return self._cycles[-1].state.q_a
 
     def feel(self, t: Array, force: Array) -> list[tuple[float, Array]]:
-        """Takes contact forces ``(m, 3)`` [N, base frame] of the instants ``t (m,)`` [s].
+        """Adds contact forces ``(m, 3)`` [N, base frame] of the instants ``t (m,)`` [s].
 
-        Gives instants [s] and arm angles ``(n,)`` [rad] of all cycles that look different now.
+        Returns instants [s] and arm angles ``(n,)`` [rad] of all cycles whose estimate has changed.
         """
         first = len(self._cycles)
         for instant, sample in zip(t, force, strict=True):
@@ -255,7 +255,7 @@ class FeltArm:
             torque = np.mean(cycle.felt, axis=0) if cycle.felt else cycle.expected
             state = cycle.state = self._went_on(state, cycle.q, torque, cycle.steps)
             changed.append((cycle.t, state.q_a))
-        # Older cycles get no more forces.
+        # No more forces arrive for older cycles.
         while len(self._cycles) > 1 and self._cycles[1].felt and self._cycles[0].t < float(np.min(t)) - 0.05:
             self._settled = self._cycles.popleft().state
         return changed

@@ -1,7 +1,7 @@
-"""How the deviation Δx_r between the reference path and what the sensors show may look ([L] 4.3).
+"""Models of the deviation Δx_r between the reference path and the sensed path ([L] 4.3).
 
-A model says which state stands for the deviation, how the deviation at an arc length follows linearly from that state,
-what is known beforehand, and how the state changes while the arm travels.
+A model defines the state of the deviation, how the deviation at an arc length follows linearly from it, the prior, and
+how the state changes while the arm travels.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from planning.path.reference import ReferencePath
 
 
 class Stand(NamedTuple):
-    """The window of a state: arc length of its first place, and how far the tool has come [m]."""
+    """Position of a state's window: arc length of its first place, and of the tool [m]."""
 
     begin: float = -np.inf
     s: float = 0.0
 
 
 class DeviationModel(ABC):
-    """Seam of the deviation models.
+    """Interface of the deviation models.
 
     Attributes:
         directions: number of sensed directions: 1 lateral (along the path's ``normal``), 2 also height (``up``).
@@ -44,7 +44,7 @@ class DeviationModel(ABC):
 
     @property
     def begin(self) -> float:
-        """Arc length from which on the state holds places [m]."""
+        """Arc length at which the state's window begins [m]."""
         return -np.inf
 
     @abstractmethod
@@ -56,21 +56,21 @@ class DeviationModel(ABC):
         return None
 
     def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array] | None:
-        """Transition ``(F, Q)`` of the state when the tool goes on by ``way`` [m]; None if there is none.
+        """Transition ``(F, Q)`` of the state when the tool advances by ``way`` [m]; None if there is none.
 
-        ``out`` are matrices of an earlier call that take the result; new ones if None.
+        ``out`` are matrices of an earlier call that are overwritten with the result; new ones if None.
         """
         return None
 
     def told(self, s: Array, stand: Stand) -> bool:
         """Whether earlier measurements bear on the deviation at ``s (m,)`` [m] through the state alone.
 
-        A measurement there is worth as much late as in time. Where the state changes on its way that is not so.
+        If so, a late measurement there may be fused as if it were on time.
         """
         return not self.drifts
 
     def spread(self, s: Array, stand: Stand) -> Array | None:
-        """Variance at ``s (m,)`` of shapes that the state has no entry for ``(m, directions)`` [m²]; None for none."""
+        """Variance at ``s (m,)`` of shapes that the state cannot represent ``(m, directions)`` [m²]; None for none."""
         return None
 
 
@@ -84,7 +84,7 @@ _FIELD = 5
 
 
 class Expected(NamedTuple):
-    """What is expected of a deviation in one direction: standard deviations, and over which distance it changes.
+    """Prior of a deviation in one direction: standard deviations, and the distance over which it changes.
 
     Attributes:
         displacement, rotation: of the whole line [m, rad].
@@ -103,18 +103,17 @@ class PathDeviation(DeviationModel):
     .. math::
         \Delta x_r(s) = g(s)^T \left(\tau + \varphi \times (p(s) - p_0)\right) + \sum_j B_j(s)\, c_j
 
-    with the direction ``g`` sensed, a rigid motion ``(τ, φ)`` common to all places, and cubic B-splines on even
-    knots. The coefficients ``c`` are a stationary random process (Matérn 7/2) with a standard deviation and a length:
-    well-seen places are drawn to their measurements, places ahead of what was seen to the rigid motion, with a variance
-    that grows. Only the coefficients around the arm are states: when it has passed a knot, the oldest one is dropped
-    and a new one is predicted ahead from its neighbours. This window is the object's only changing part: one object
-    serves one filter.
+    with the direction ``g`` sensed, a rigid motion ``(τ, φ)`` common to all places, and cubic B-splines on even knots.
+    The coefficients ``c`` are a stationary random process (Matérn 7/2) with a standard deviation and a length: places
+    with measurements follow them; places ahead of all measurements tend to the rigid motion, with a growing variance.
+    Only the coefficients around the arm are states: when it has passed a knot, the oldest one is dropped and a new one
+    is predicted ahead from its neighbours. This window is the only mutable part, so each filter needs its own object.
 
     Args:
         reference: the path.
-        across: what is expected across the path.
-        up: what is expected along the surface normal, its rotation about the surface's axes; None where only the
-            lateral deviation is sensed.
+        across: prior across the path.
+        up: prior along the surface normal, with its rotation about the surface's axes; None where only the lateral
+            deviation is sensed.
         ahead, behind: how far in front of the arm the deviation is needed, and how far behind it is kept [m].
         knot: spacing of the knots [m].
     """
@@ -155,7 +154,7 @@ class PathDeviation(DeviationModel):
 
     @property
     def begin(self) -> float:
-        """Arc length from which on the window holds places [m]."""
+        """Arc length at which the window begins [m]."""
         return self._start
 
     def basis(self, s: Array, stand: Stand | None = None) -> Array:
@@ -167,7 +166,7 @@ class PathDeviation(DeviationModel):
                                           s, splines))
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
-        """Shifts the window by one knot once the arm has left it behind."""
+        """Transition ``(F, Q)`` that shifts the window by one knot; None until the arm has passed that knot."""
         if s - self._behind < self._start + self._knot:
             return None
         self._start += self._knot
@@ -180,12 +179,12 @@ class PathDeviation(DeviationModel):
 
 
 def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, covariance: Array) -> Array:
-    """Logarithms of how likely each of ``SHAPES`` makes what was seen of a line, wherever it lies and however turned.
+    """Log likelihoods of a sensed line for each of ``SHAPES``, whatever its position and rotation.
 
     Args:
         reference: the path.
         s: where along it ``(m,)`` [m].
-        deviation: what was seen there ``(m,)`` [m].
+        deviation: deviation that was seen there ``(m,)`` [m].
         covariance: of that ``(m, m)`` [m²].
     """
     moved, distance = _moved(reference, s) + covariance, np.abs(np.subtract.outer(s, s))
@@ -201,16 +200,15 @@ def _log_density(values: Array, covariance: Array) -> float:
 
 def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: float,
                   likeliest: tuple[float, float]) -> tuple[float, float]:
-    """The first shape from the likeliest on by which no piece of the line surprises one who comes along; it if none.
+    """The first shape, from the likeliest on, by whose prior no field of the line is an outlier; else the likeliest.
 
-    What is likeliest for the line as a whole may leave out one narrow bend. A field of five points is no surprise
-    where it is, after all points before it, within what the shape expects of 99 in 100. ``COPIED`` comes before the
-    first of ``SHAPES``.
+    The likeliest shape of the whole line may smooth over one narrow bend. A field of five points is no outlier where,
+    given all points before it, it is within the shape's 99 % region. ``COPIED`` comes before the first of ``SHAPES``.
 
     Args:
         reference: the path.
         s: where along it ``(m,)``, ascending [m].
-        deviation: what was seen there ``(m,)`` [m].
+        deviation: deviation that was seen there ``(m,)`` [m].
         sigma: standard deviation of that [m].
         likeliest: one of ``SHAPES``.
     """

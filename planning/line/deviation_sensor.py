@@ -1,4 +1,4 @@
-"""The seam of further sensors along a line: any device that measures how far the line is from the tool."""
+"""The interface of further sensors along a line: any device that measures the line's distance from the tool."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class DeviationSensor(Protocol):
 def fuse_reading(follower: LineFollower, reading: Reading, sensor: str) -> Fused:
     """Fuses a reading into the follower's map: [L] (5), Δx_r = Δx_a - (x_r - x̂_a), along the sensed direction.
 
-    Raises ``InputError`` for shapes that do not fit, values that are not finite, or a variance that is none.
+    Raises ``InputError`` for shapes that do not fit, values that are not finite, or a variance that is not positive.
 
     Args:
         follower: knows where the tool was at the reading's time.
-        reading: what was measured.
+        reading: the measured deviation.
         sensor: its name.
     """
     at = np.asarray(reading.at, dtype=float)

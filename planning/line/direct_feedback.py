@@ -41,7 +41,7 @@ class DirectFeedback(Uncorrected):
         self._q: Array | None = None
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> None:
-        """Takes the sensor signal from a field; none if the field showed nothing."""
+        """Sets the sensor signal from a field; leaves it unchanged if the field showed nothing."""
         used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
         if not line.seen or not used.any():
             return
@@ -56,7 +56,7 @@ class DirectFeedback(Uncorrected):
         self._signal = float(lateral[nearest] - own[0])
 
     def command(self, t: float, q_d: Array | None = None) -> Array:
-        """Commanded joint angles ``q_c(k) (n,)`` [rad] at the cycle ``t``; once a cycle, whatever is planned."""
+        """Commanded joint angles ``q_c(k) (n,)`` [rad] at the cycle ``t``; to be called once a cycle."""
         change = self._k_p * self._signal + self._k_d * (self._signal - self._last_signal)
         self._last_signal = self._signal
         self.correction = float(np.clip(self.correction + change, -self._limit, self._limit))

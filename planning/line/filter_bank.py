@@ -1,4 +1,4 @@
-"""Filters with different models on the same measurements, weighed by how likely each makes them."""
+"""A bank of filters with different models on the same measurements, weighted by their likelihoods."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FORGETS = 0.1
 
 
 class FilterBank:
-    r"""Multiple models (Magill 1965): filters of the same directions and sensors.
+    r"""A filter bank (multiple models, Magill 1965): filters of the same directions and sensors.
 
     What ``filterpy``'s ``MMAEFilterBank`` does, with gates, late measurements and forgetting.
 
@@ -41,7 +41,7 @@ class FilterBank:
 
     @property
     def s(self) -> float:
-        """Arc length at which the states stand [m]."""
+        """Arc length of the present state [m]."""
         return self.members[0].s
 
     def travel(self, s: float) -> None:
@@ -50,7 +50,7 @@ class FilterBank:
             member.travel(s)
 
     def update(self, measurement: Measurement) -> Fused:
-        """Fuses one measurement in every member; what became of it in the likeliest."""
+        """Fuses one measurement in every member; returns the result of the likeliest."""
         check(measurement, self.model.directions)
         every = [member.take(measurement) for member in self.members]
         if measurement.at is not None and measurement.at > self._s:
@@ -63,14 +63,14 @@ class FilterBank:
         return every[int(np.argmax(self._log))]
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
-        """See ``DeviationFilter.deviation``; the variance has what the members differ by in it."""
+        """Estimated deviation at ``s (m,)`` [m] and its variance, with the differences between the members."""
         every = [member.deviation(s) for member in self.members]
         means, variances = np.array([estimate[0] for estimate in every]), np.array([estimate[1] for estimate in every])
         mean = self._mixed(means)
         return mean, self._mixed(variances + (means - mean) ** 2)
 
     def mean(self, s: Array) -> Array:
-        """The deviation alone, ``(m, directions)`` [m]."""
+        """The estimated deviation at ``s (m,)`` without its variance, ``(m, directions)`` [m]."""
         return self._mixed(np.array([member.mean(s) for member in self.members]))
 
     def _mixed(self, every: Array) -> Array:

@@ -32,10 +32,9 @@ class DeviationFilter:
 
     .. math:: z_i = g_i^T \left(\Delta x_r(s_i) \right) + b_i^T \beta + v_i
 
-    or a linear combination of such values, with :math:`\Delta x_r` linear in the model's state, errors :math:`\beta`
-    of the sensor itself (constant, e.g. a wrong mounting angle) and noise :math:`v` with the covariance stated by the
-    measurement. A point of the path that is seen several times from different places separates :math:`\beta` from
-    :math:`\Delta x_r`.
+    or a linear combination of such values, with :math:`\Delta x_r` linear in the model's state, errors :math:`\beta` of
+    the sensor itself (constant, e.g. a wrong mounting angle) and noise :math:`v` with the covariance stated by the
+    measurement. Repeated observations of a point from different places separate :math:`\beta` from :math:`\Delta x_r`.
 
     A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if most of its
     values are, or if its normalised innovation squared is beyond the ``significance`` bound. Measurements left out feed
@@ -46,10 +45,10 @@ class DeviationFilter:
     ``Hypotheses``.
 
     Args:
-        model: what the deviation looks like.
+        model: prior and dynamics of the deviation.
         biases: for each sensor the standard deviations of its errors :math:`\beta`.
         gate: bound for single values, in standard deviations.
-        significance: probability with which a good measurement is left out.
+        significance: probability that a valid measurement is rejected.
         confirm: measurements until a rival hypothesis takes over; 0 for never. Models that drift have none: of two
             sensors along one surface the one that agrees with itself would always outvote the other.
         moved: for each sensor that may be knocked, the standard deviations of its errors after that.
@@ -66,7 +65,7 @@ class DeviationFilter:
             size += len(sigmas)
             variances += [sigma**2 for sigma in sigmas]
         self._size, self._bias_variances = size, variances
-        # Written to in every step.
+        # These matrices are overwritten in every step.
         self._F, self._Q = np.eye(size), np.zeros((size, size))
         self._way = self._F[: model.size, : model.size], self._Q[: model.size, : model.size]
         self.hypotheses = Hypotheses(self._fresh, Gates(gate, significance), 0 if model.drifts else confirm,
@@ -116,10 +115,10 @@ class DeviationFilter:
         return self.take(measurement)
 
     def take(self, measurement: Measurement) -> Fused:
-        """Fuses a measurement that was checked already, see ``update``."""
+        """Fuses a measurement whose shapes and values are already checked, see ``update``."""
         t = measurement.t
         if not self.model.drifts:
-            # Late and unordered measurements are as good as any.
+            # Without drift the order and the delay of measurements do not matter.
             self.t = max(self.t, t)
             return self._fuse(measurement, measurement.covariance)
         if t < self.t and self.model.told(measurement.s, self._stand):
@@ -129,7 +128,7 @@ class DeviationFilter:
             nothing = np.zeros(len(measurement.value))
             return Fused(nothing.astype(bool), nothing, 0.0, 0, "too late")
         if late:
-            # Back to before the first one that is younger, then all again in the right order.
+            # Goes back to the state before the first younger one, then fuses all in the right order.
             self.kf.x, self.kf.P, self._stand = late[0].x, late[0].P, late[0].stand
             self.t = t if self._buffer.newest is None else self._buffer.newest
         fused = self._in_time(measurement, t)
@@ -157,7 +156,7 @@ class DeviationFilter:
         before = self.hypotheses.map
         fused = self.hypotheses.fuse(self._equation(measurement, R))
         if self.hypotheses.map is not before:
-            # What was passed is not the past of another hypothesis.
+            # The stored past does not belong to the new hypothesis.
             self._passed.clear()
         return fused
 
@@ -178,7 +177,7 @@ class DeviationFilter:
         return Equation(H, z, R, measurement.sensor, measurement.combination is not None)
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
-        """The deviation at arc lengths ``s (m,)`` [m], also ahead of what was seen: [L] (6) with how sure it is.
+        """Estimated deviation and variance at arc lengths ``s (m,)`` [m], also ahead of all measurements: [L] (6).
 
         ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
         """
@@ -189,16 +188,16 @@ class DeviationFilter:
         return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2]) + (0.0 if ahead is None else ahead)
 
     def looked_back(self, s: Array) -> tuple[Array, Array]:
-        """The deviation as all measurements show it, those of other places as well: smoothed.
+        """The deviation smoothed by all measurements, also those after a place was passed.
 
-        At arc lengths ``s (m,)`` [m] of the last ``LOOKED_BACK`` steps, since the map was last replaced:
-        ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
+        At arc lengths ``s (m,)`` [m] of the last ``LOOKED_BACK`` steps, since the map was last replaced: ``(m,
+        directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN beyond these steps.
         """
         return smoothed(self.model, self._passed, self.kf, self._stand, s)
 
     @property
     def s(self) -> float:
-        """Arc length at which the state stands [m]."""
+        """Arc length of the present state [m]."""
         return self._stand.s
 
     @property
@@ -207,7 +206,7 @@ class DeviationFilter:
         return np.asarray(self.kf.x[: self.model.size])
 
     def mean(self, s: Array) -> Array:
-        """The deviation alone, ``(m, directions)`` [m]."""
+        """The estimated deviation at ``s (m,)`` without its variance, ``(m, directions)`` [m]."""
         H = self.model.basis(s, self._stand)
         return np.asarray((H.reshape(-1, self.model.size) @ self.state).reshape(H.shape[:2]))
 

@@ -1,8 +1,7 @@
-"""What may have happened to a map and its sensors: filters on the same measurements, compared by their likelihood.
+"""Hypotheses of a changed map or sensor: filters on the same measurements, compared by their likelihood.
 
-The map goes on as long as it explains what is measured. Beside it stand a map that begins anew, where measurements do
-not fit but agree with one another, and maps with a sensor that has been moved, where one is only doubtful. The
-covariance alone decides what fits.
+The map is kept while it explains the measurements. The alternatives are a new map, where measurements contradict the
+old one but agree with one another, and maps with a moved sensor. The covariance alone decides what agrees.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _MOST = 64
 
 @dataclass
 class Hypothesis:
-    """A filter, how often it agreed with the sensors, and how much likelier it is than the map.
+    """A filter, how often it agreed with the sensors, and its likelihood relative to the map.
 
     Attributes:
         kf: state and covariance.
@@ -50,13 +49,13 @@ class Hypothesis:
 
     @classmethod
     def of(cls, x: Array, P: Array) -> Hypothesis:
-        """One that begins with state ``x (n,)`` and covariance ``P (n, n)``."""
+        """A new hypothesis with state ``x (n,)`` and covariance ``P (n, n)``."""
         kf = KalmanFilter(dim_x=len(x), dim_z=1)
         kf.x, kf.P = x, P
         return cls(kf)
 
     def moved(self, entries: slice, sigmas: tuple[float, ...]) -> Hypothesis:
-        """The same map, with errors of a sensor that have nothing to do with those before.
+        """The same map with new sensor errors that are independent of the old ones.
 
         Args:
             entries: of the state that are that sensor's errors.
@@ -69,11 +68,11 @@ class Hypothesis:
 
 
 class Gates:
-    """Which values a filter takes, by their covariance under it.
+    """Gates that decide which values a filter accepts, by their covariance.
 
     Args:
         gate: bound for single values, in standard deviations.
-        significance: probability with which a good measurement is left out.
+        significance: probability that a valid measurement is rejected.
     """
 
     def __init__(self, gate: float, significance: float) -> None:
@@ -81,16 +80,16 @@ class Gates:
         self._bounds = np.concatenate([[0.0], chdtri(np.arange(1, _MOST + 1), significance)]).tolist()
 
     def likelihood(self, seen: Innovation) -> float:
-        """Logarithm of the likelihood, in which an outlier counts as one."""
+        """Logarithm of the likelihood of a measurement; an outlier has a fixed likelihood."""
         return -0.5 * (min(seen.nis, self._bounds[min(len(seen.value), _MOST)]) + seen.log_det)
 
     def fuse(self, hypothesis: Hypothesis, equation: Equation, seen: Innovation) -> Fused:
-        """Fuses what passes of a measurement.
+        """Fuses the values of a measurement that pass the gate.
 
         Args:
             hypothesis: takes it.
             equation: of the measurement.
-            seen: what it says beyond the hypothesis.
+            seen: its innovation under the hypothesis.
         """
         (H, z, R, _, whole), (innovation, S, nis, _) = equation, seen
         likelihood, sigma = self.likelihood(seen), float(np.sqrt(S[0, 0]))
@@ -99,7 +98,7 @@ class Gates:
         if whole and dof < len(z):
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate", likelihood, sigma)
         if 2 * dof < len(z):
-            # Among many wrong values a few pass by chance.
+            # With many wrong values a few pass the gate by chance, so the measurement is rejected as a whole.
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood,
                          sigma)
         reason = ""
@@ -115,17 +114,17 @@ class Gates:
 
 
 class Hypotheses:
-    """The map, and what may have happened instead.
+    """The map and the alternative hypotheses.
 
     Args:
-        fresh: makes the hypothesis of which nothing is known yet.
+        fresh: creates a hypothesis from the prior alone.
         gates: which values a hypothesis takes.
         confirm: measurements in a row that agree with one another until a map that begins anew takes over; 0 for never.
         moved: for each sensor that may be knocked, its entries of the state, and their standard deviations after that.
 
     Attributes:
-        map: the hypothesis that counts.
-        shaken: those of a moved sensor that are weighed.
+        map: the hypothesis in use.
+        shaken: hypotheses of a moved sensor that are compared with the map.
     """
 
     def __init__(self, fresh: Callable[[], Hypothesis], gates: Gates, confirm: int,
@@ -134,20 +133,20 @@ class Hypotheses:
         self.begin()
 
     def begin(self) -> None:
-        """Begins anew, with nothing known."""
+        """Restarts from the prior."""
         self.map, self._rival = self._fresh(), None
         self.shaken: list[Hypothesis] = []
 
     _rival: Hypothesis | None
 
     def predict(self, F: Array, Q: Array) -> None:
-        """The state of every hypothesis goes on by ``F``, ``Q`` ``(n, n)``."""
+        """Advances the state of every hypothesis by the transition ``F``, ``Q`` ``(n, n)``."""
         for one in (self.map, self._rival, *self.shaken):
             if one is not None:
                 one.kf.predict(F=F, Q=Q)
 
     def fuse(self, equation: Equation) -> Fused:
-        """Fuses a measurement; what became of it. Another hypothesis may be the map afterwards."""
+        """Fuses a measurement in all hypotheses; another one may be the map afterwards."""
         innovation = equation.innovation(self.map.kf)
         moved = self._weighed(equation, innovation)
         fused = self._gates.fuse(self.map, equation, innovation)

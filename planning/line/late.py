@@ -1,4 +1,4 @@
-"""Measurements that come late: the state before each is kept, so that one can go back and take all in their order."""
+"""A buffer of earlier states, so that late measurements can be fused in their order."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ MEMORY = 0.5
 
 @dataclass
 class Before:
-    """The state before a measurement or a travel step ``(F, Q)``, and which of them it was.
+    """The state before a measurement or a travel step ``(F, Q)``, and that measurement or step.
 
     Attributes:
         t: when [s].
-        stand: where the state stood.
+        stand: position of the state's window.
         x, P: state ``(n,)`` and covariance ``(n, n)``.
-        then: what came.
+        then: the measurement or step.
     """
 
     t: float
@@ -32,26 +32,26 @@ class Before:
 
 
 class Buffer:
-    """The last states, and what came then."""
+    """The last states with the measurements and steps that followed them."""
 
     def __init__(self) -> None:
         self._entries: deque[Before] = deque()
 
     def add(self, entry: Before) -> None:
-        """One more; what is too old to be gone back to is forgotten with the next measurement."""
+        """Adds an entry; entries that are too old are dropped with the next measurement."""
         self._entries.append(entry)
 
     def forget(self, t: float) -> None:
-        """Forgets what lies too far before ``t`` [s]."""
+        """Drops entries too far before ``t`` [s]."""
         while self._entries[0].t < t - MEMORY:
             self._entries.popleft()
 
     def clear(self) -> None:
-        """Forgets all measurements that are kept."""
+        """Drops all entries."""
         self._entries.clear()
 
     def taken_back(self, t: float) -> list[Before] | None:
-        """What came after ``t`` [s], taken out, the oldest first; None where ``t`` lies before what is kept."""
+        """Removes and returns the entries after ``t`` [s], oldest first; None where ``t`` lies before the buffer."""
         late = [entry for entry in self._entries if entry.t > t]
         if late and t < self._entries[0].t and len(late) == len(self._entries):
             return None
@@ -61,5 +61,5 @@ class Buffer:
 
     @property
     def newest(self) -> float | None:
-        """When the last of them was [s]; None without any."""
+        """Time of the newest entry [s]; None without any."""
         return self._entries[-1].t if self._entries else None

@@ -49,26 +49,26 @@ class FollowerSettings:
     """Assumed sensor errors and limits of a line follower.
 
     Attributes:
-        noise: lateral error of a point beside what its detection states [m].
+        noise: lateral error of a point in addition to that of its detection [m].
         common: lateral error common to all points of a field, different from field to field [m].
         yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
         stamp: error of the time stamps, standard deviation [s]; estimated on the way.
         height, tilt, bow: how far the surface may be from the reference's along its normal [m], how far tilted about
-            its axes [rad], how far bent [m], standard deviations. All are estimated on the way from what moving over
-            the line shows ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
-        shape, length: how far the line's shape leaves the reference's [m], standard deviation, and over which distance
-            that becomes another [m].
-        points: line points looked for in each field.
+            its axes [rad], how far bent [m], standard deviations. All are estimated during the motion from the changing
+            view of the line ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
+        shape, length: standard deviation of the line's shape from the reference's [m], and the distance over which that
+            difference changes [m].
+        points: number of line points per field.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
         max_gap: distance that may be travelled without seeing the line, whatever the map says [m].
-        unsure: standard deviation of the line at the tool from which on the map no longer leads beyond that distance
-            [m]. By default the tool is still on a line 3 mm wide with 95 %.
+        unsure: standard deviation of the line at the tool up to which the map is followed without new fields [m]. With
+            the default the tool is on a line 3 mm wide with a probability of 95 %.
         max_search: distance that may be travelled before the line is seen first [m].
-        measurement: what of a field goes into the map: ``polynomial``, value and slope of the polynomial through its
+        measurement: which measurement is made of a field: ``polynomial``, value and slope of the polynomial through its
             points ([L] 5), or ``points``, each of them.
         line_span: arc lengths of the reference between which the line is [m]; all of it if None.
-        eye: where the camera is in the tool frame [m]; without it heights cannot be told.
+        eye: where the camera is in the tool frame [m]; without it heights are not estimated.
     """
 
     noise: float = 2e-5
@@ -104,7 +104,7 @@ class FollowerSettings:
 
 
 class LineFollower:
-    r"""Desired joint positions over a horizon, from a reference path and camera fields that come when they come.
+    r"""Desired joint positions over a horizon, from a reference path and camera fields at any times.
 
     Each seen point :math:`\hat x_a + \Delta x_a` of a field is compared with the reference *at the same place*:
     :math:`\Delta x_r = \Delta x_a - (x_r - \hat x_a)`, [L] (5), in the direction of the path's lateral normal, at the
@@ -142,7 +142,7 @@ class LineFollower:
         check_cycle(robot)
         self.history = PoseHistory(robot)
         self._T, self._evenly = robot.t_ipo, np.linspace(0.0, 1.0, settings.points)
-        # A little more than the horizon and what the smoothing looks ahead behind it.
+        # A little more than the horizon and the smoothing behind it.
         ahead = max(0.3, planned_cycles(n_d, self._T) * self._T * profile.top_speed + 0.05)
         self._eye = None if settings.eye is None else np.array(settings.eye)
         expects_height = settings.eye is not None and settings.height != 0
@@ -161,7 +161,7 @@ class LineFollower:
         self._field_t = -np.inf
 
     def led_by(self, feedforward: Feedforward) -> None:
-        """Corrects from now on with what the commands of a feedforward can make within the arm's acceleration."""
+        """Limits corrections from now on to those that a feedforward's commands can make within the limits."""
         self.path.led_by(feedforward)
 
     @property
@@ -189,7 +189,7 @@ class LineFollower:
         return int(np.ceil((self.t_start + self.duration + REST) / self._T))
 
     def done(self, t: float) -> bool:
-        """See ``planning.follower.Follower``."""
+        """Whether the cycle that began at ``t`` [s] is the last one; see ``planning.follower.Follower``."""
         return round(t / self._T) + 1 >= self.lasts
 
     def s_at(self, t: float) -> float:
@@ -201,11 +201,11 @@ class LineFollower:
         return float(self.profile.speed(t - self.t_start))
 
     def contact_torque(self, q_d: Array) -> None:
-        """None: what is followed by eye is not touched."""
+        """None, as following by camera has no contact."""
         return
 
     def observe(self, t: float, q: Array) -> None:
-        """Takes the joint angles ``q (n,)`` [rad] of the arm at ``t`` [s]; every cycle, before fields are handed in."""
+        """Stores the joint angles ``q (n,)`` [rad] measured at ``t`` [s]; call it before each cycle's fields."""
         self.history.add(t, q)
 
     def predict(self, t: float) -> LineAhead:
@@ -255,7 +255,7 @@ class LineFollower:
         return fused
 
     def measurement(self, t: float, points_tcp: Array, sigma: Array, pose: pin.SE3 | None = None) -> Measurement:
-        """[L] (5): deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``.
+        """Deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``, [L] (5).
 
         Args:
             t: instant of the exposure [s].
@@ -272,7 +272,7 @@ class LineFollower:
         # A camera turned about itself moves a point by up × (point - camera), a wrong time stamp by the velocity the
         # point has on the tool.
         ray = lever if self._eye is None else lever - pose.rotation @ self._eye
-        # Of poses given from outside there is no history: then time stamps have to be right.
+        # Given poses have no history for a velocity: time stamps are taken as right.
         turned, moved, slant = sensor_errors(frames.normal, frames.up, ray, lever, *self.history.velocity(t))
         direction = None
         if self.fusion.model.directions > 1:
@@ -295,7 +295,7 @@ class LineFollower:
     def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 
-        What a new estimate does not change is not planned again, so there is time for a plan in every cycle.
+        Only what a new estimate changes is planned again, so there is time for a plan in every cycle.
 
         Raises:
             LineLostError: nothing was seen for longer than allowed, and the map does not know the line at the tool.
@@ -309,7 +309,7 @@ class LineFollower:
         return q
 
     def check(self, t: float) -> None:
-        """Does nothing, as ``horizon`` checks whether the line was seen."""
+        """Does nothing, as ``horizon`` already checks whether the line was seen."""
         return
 
     def _check_seen(self, t: float, s: float) -> None:
@@ -331,7 +331,7 @@ class LineFollower:
 
 
 class Uncorrected:
-    """The reference alone, in the place of what a follower would plan.
+    """The uncorrected reference, with the interface of a follower.
 
     Args:
         follower: for its reference and its tables; its map goes along, so that it says where the line should be.
@@ -348,16 +348,16 @@ class Uncorrected:
         return f.q_reference[k : k + f.n_d]
 
     def command(self, t: float, q_d: Array) -> Array | None:
-        """None: the reference is commanded as it is planned."""
+        """None, which means that the reference is commanded as planned."""
         return None
 
     def done(self, t: float) -> bool:
-        """See ``planning.follower.Follower``."""
+        """Whether the cycle that began at ``t`` [s] is the last one; see ``planning.follower.Follower``."""
         return self._follower.done(t)
 
 
 def line_ahead(reference: ReferencePath, fusion: DeviationFilter, s: Array) -> LineAhead:
-    """The line as predicted at some places, from the map of its deviation from the reference.
+    """The predicted line at some places, from the map of its deviation from the reference.
 
     Args:
         reference: the reference path.

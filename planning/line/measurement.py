@@ -1,4 +1,4 @@
-"""What a sensor measured of the deviation from the reference, its equation, and what became of it in the filter."""
+"""Measurements of the deviation from the reference, their equation, and the result of their fusion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Measurement:
 
     Attributes:
         t: instant of measurement, not of arrival [s].
-        s: arc lengths of the reference that were looked at ``(m,)`` [m].
+        s: arc lengths of the reference of the measured deviations ``(m,)`` [m].
         value: deviations ``(m,)`` [m]: components of Δx_r along ``direction``; or ``(k,)`` combinations of them.
         covariance: of the values ``(m, m)`` [m²], or ``(k, k)``.
         direction: sensed directions as components along the path's normal and up, ``(m, directions)``; they need not be
@@ -33,7 +33,7 @@ class Measurement:
         sensor: name of the sensor, for its own errors and statistics.
         bias: how much each error of the sensor adds to the values, ``(m, b)``; see ``DeviationFilter``.
         combination: how the values follow from the deviations at ``s``, ``(k, m)``, such as value and slope of a
-            polynomial through them; they then count as one, all or none. None where each deviation is a value.
+            polynomial through them; they are then accepted or rejected together. None where each deviation is a value.
         origin: where the sensor was along the directions ``(m,)`` [m], if its first error is the logarithm of a ratio
             that multiplies the distances from there; that depends on the deviation, so ``bias`` says nothing of it.
         at: arc length at which the tool was [m]; None where it does not matter.
@@ -53,7 +53,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Fused:
-    """What became of a measurement.
+    """The result of fusing a measurement.
 
     Attributes:
         used: which values went in ``(m,)``, or ``(k,)`` where they are combinations.
@@ -62,7 +62,7 @@ class Fused:
         dof: number of values that went in.
         reason: why values were left out; empty if none were.
         likelihood: logarithm of the measurement's likelihood before it went in, but for a constant.
-        sigma: standard deviation of the first innovation by what was known before [m].
+        sigma: predicted standard deviation of the first innovation [m].
     """
 
     used: Array
@@ -94,10 +94,10 @@ def check(measurement: Measurement, directions: int) -> None:
 SEEN_AHEAD = 0.06
 """Way ahead of the tool, near which the points of a camera's field are looked for on the reference [m]."""
 
-# What passes between the line follower and the camera: points seen, and where to look for the next ones.
+# Data that the line follower and the camera exchange: points seen, and where to search for the next ones.
 
 class SeenLine(Protocol):
-    """What the follower needs of a camera field; ``sensing.camera.line_detection.LineField`` is one."""
+    """The data of a camera field that a follower needs; ``sensing.camera.line_detection.LineField`` is one."""
 
     @property
     def t(self) -> float:
@@ -109,11 +109,11 @@ class SeenLine(Protocol):
 
     @property
     def sigma(self) -> Array:
-        """Their lateral standard deviation ``(m,)`` [m]."""
+        """Lateral standard deviations of the line points ``(m,)`` [m]."""
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """Which of them are good ``(m,)``."""
+        """Which of the line points are valid ``(m,)``."""
 
     @property
     def seen(self) -> bool:
@@ -141,7 +141,7 @@ class LineAhead:
     covariance: Array | None = None
 
     def seen_by(self, camera: CameraModel, t: float, pose_at: PoseAt) -> PredictedLine:
-        """The prediction as a picture shows it, each point in the tool frame at its own row's instant.
+        """The prediction for a picture: each point in the tool frame at the exposure of its own row.
 
         Args:
             camera: as it is calibrated.
@@ -182,10 +182,10 @@ def polynomial_measurement(points: Measurement) -> tuple[Measurement, LinePolyno
     return measurement, polynomial
 
 
-# The equation, and its arithmetic, which runs several times in each cycle: compiled.
+# The measurement equation and its compiled arithmetic, which runs several times in each cycle.
 
 class Innovation(NamedTuple):
-    """What a measurement says beyond a state: value, covariance, normalised square, logarithm of determinant."""
+    """Innovation of a measurement: value, covariance, normalised square, logarithm of determinant."""
 
     value: Array
     covariance: Array
@@ -194,7 +194,7 @@ class Innovation(NamedTuple):
 
 
 class Equation(NamedTuple):
-    """z = H x + v with the covariance R of v, of which sensor, and whether its values count all or none."""
+    """Measurement equation z = H x + v with the covariance R of v, its sensor, and how its values are gated."""
 
     H: Array
     z: Array
@@ -223,7 +223,7 @@ def rows_along(direction: Array, basis: Array) -> Array:  # pragma: no cover
 
 @jit()
 def widened(covariance: Array, direction: Array, variance: Array) -> Array:  # pragma: no cover
-    """The covariance of values, enlarged by the variance of shapes that the state has no entry for.
+    """The covariance of values, enlarged by the variance of shapes that the state cannot represent.
 
     Args:
         covariance: of the values ``(m, m)`` [m²].
@@ -246,10 +246,10 @@ def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  #
 
     .. math:: z = o + e^r\, (g^T \Delta x_r - o) + v
 
-    A stiffness is positive, however large the error of its estimate: a ratio that could be estimated as negative made
-    a force that rises say that the surface recedes. What the second order adds, with :math:`d = g^T \Delta x_r - o`,
-    its variances :math:`G_{ij}`, :math:`\sigma_r^2` and covariances :math:`c_i`, is in the mean
-    :math:`e^r (c_i + d_i \sigma_r^2 / 2)` and noise with the covariance
+    A stiffness is positive, however large the error of its estimate: with a negative ratio a rising force would mean
+    that the surface recedes. The second-order terms, with :math:`d = g^T \Delta x_r - o`, its variances :math:`G_{ij}`,
+    :math:`\sigma_r^2` and covariances :math:`c_i`, add to the mean :math:`e^r (c_i + d_i \sigma_r^2 / 2)` and noise
+    with the covariance
 
     .. math:: e^{2 r} \left( G_{ij} \sigma_r^2 + c_i c_j + \sigma_r^2 (d_i c_j + d_j c_i)
               + \tfrac{1}{2} \sigma_r^4 d_i d_j \right)
@@ -277,7 +277,7 @@ def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  #
         for k in range(size):
             H[i, k] *= ratio
         H[i, at_r] = ratio * distance[i]
-        # Linear in r about its estimate; what the equation says of the rest of it and its second order go to the value.
+        # Linear in r about its estimate; the remaining terms, and those of second order, are moved into the value.
         value[i] += ratio * (distance[i] * (r - 0.5 * variance) - common[i]) - (1.0 - ratio) * origin[i]
         for j in range(len(z)):
             noise[i, j] += ratio**2 * (

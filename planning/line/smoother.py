@@ -1,4 +1,4 @@
-"""What all measurements show of places that were passed, those of other places as well (Rauch, Tung, Striebel)."""
+"""Smooths the deviation at passed places by all later measurements (Rauch, Tung, Striebel)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOOKED_BACK = 200
 
 
 class Passed(NamedTuple):
-    """The state before a travel step, where it stood, and the step."""
+    """The state before a travel step, its position, and the step."""
 
     stand: Stand
     x: Array
@@ -27,19 +27,20 @@ class Passed(NamedTuple):
 
 def smoothed(model: DeviationModel, passed: Sequence[Passed], kf: KalmanFilter, stand: Stand, s: Array
              ) -> tuple[Array, Array]:
-    """The deviation ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
+    """The smoothed deviation ``(m, directions)`` [m] and its variance [m²]; NaN before the first step.
 
     Args:
-        model: what the deviation looks like.
+        model: prior and dynamics of the deviation.
         passed: the travel steps so far, the oldest first.
         kf: the state now.
-        stand: where it stands.
+        stand: position of the present state.
         s: arc lengths ``(m,)`` [m].
     """
     stands = [step.stand for step in passed] + [stand]
     xs, Ps, *_ = kf.rts_smoother(
         np.array([step.x for step in passed] + [kf.x]), np.array([step.P for step in passed] + [kf.P]),
-        [kf.F] + [step.F for step in passed], [kf.Q] + [step.Q for step in passed],  # of a step at its end
+        # Of the step that ends in each state.
+        [kf.F] + [step.F for step in passed], [kf.Q] + [step.Q for step in passed],
         inv=_inverse)
     mean, variance = np.full((2, len(s), model.directions), np.nan)
     which = np.searchsorted([one.begin for one in stands], s, side="right") - 1

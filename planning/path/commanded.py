@@ -1,4 +1,4 @@
-"""Which corrections a loop can be asked for: their commands, behind whatever feedforward, keep the acceleration."""
+"""Checks which path corrections the commands can follow within the acceleration limit, behind any feedforward."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ideal_robot.feedforward.command_answer import CommandAnswer
 
 
 class Commanded(NamedTuple):
-    r"""What corrections of a path ask of the commands.
+    r"""The accelerations that path corrections require of the commands.
 
     .. math:: \ddot q_c = w * q_x \, (\ddot d - \ddot r)
 
     with the feedforward's weights ``w``, the change :math:`q_x` of the joint angles with the deviation, and the plan
-    ``d`` beside the estimate ``r``, whose own acceleration no smoothing takes off. A reference is travelled within the
-    arm's acceleration; a correction may take as much again, and both are what is let through to the arm.
+    ``d`` beside the estimate ``r``, whose own acceleration no smoothing removes. The reference uses at most the arm's
+    acceleration; a correction may use as much again, and the sum is permitted.
 
     Attributes:
         answer: of the feedforward.
@@ -30,13 +30,13 @@ class Commanded(NamedTuple):
     per_metre: Array
 
     def possible(self, first: int, past: Array, planned: Array, asked: Array) -> bool:
-        """Whether commands follow a plan.
+        """Whether the commands can follow a plan.
 
         Args:
             first: cycle of the next command.
             past: accelerations of the deviation from the first cycle that is in it, up to where the plan begins
                 ``(p, directions)`` [m/s²].
-            planned: those of the plan, of which the last one is held behind it ``(m, directions)`` [m/s²].
+            planned: those of the plan, the last of which continues after its end ``(m, directions)`` [m/s²].
             asked: those of the estimate that it follows ``(m, directions)`` [m/s²].
         """
         correction = held(np.concatenate([past, planned]) - held(asked, before=len(past)), after=self.answer.after)

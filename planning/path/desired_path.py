@@ -19,7 +19,7 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 
-# Smoothing of the sensed path x_s to the desired path x_d ([L] 4.1, Fig. 2): continuous whatever the sensors say.
+# Smoothing of the sensed path x_s to the desired path x_d ([L] 4.1, Fig. 2): continuous for any sensor values.
 #
 # The desired deviation :math:`d(t)` follows the estimated one, :math:`r(t)`, as the minimum of
 #
@@ -36,10 +36,10 @@ SPARE = 0.144
 
 
 def planned_cycles(n_d: int, t_ipo: float, spare: float = SPARE) -> int:
-    """Cycles that a plan reaches.
+    """Number of cycles that a plan covers.
 
     Args:
-        n_d: cycles of the horizon that is asked for.
+        n_d: cycles of the horizon.
         t_ipo: cycle [s].
         spare: by how much it reaches further [s].
     """
@@ -47,10 +47,10 @@ def planned_cycles(n_d: int, t_ipo: float, spare: float = SPARE) -> int:
 
 
 class Smoother:
-    """The minimum above, solved beforehand for several cutoff frequencies; at run time one matrix product.
+    """Computes the smoothed plan for several cutoff frequencies; each is one precomputed matrix product.
 
-    The stiffest cutoff whose plan does not correct with more than ``acceleration``, and that the loop can be asked for,
-    is taken: small changes of the estimate are followed quickly, a line that was just found is approached gently.
+    The highest cutoff whose plan needs at most ``acceleration``, and that the commands can follow, is used: small
+    changes of the estimate are followed quickly, a line that was just found is approached gently.
 
     Args:
         samples, t_ipo: cycles of the plan, and how long one is [s].
@@ -69,8 +69,8 @@ class Smoother:
         Args:
             state: the same at the last instant that stays ``(3, directions)``.
             estimate: the estimated deviation at the ``samples`` following cycles ``(samples, directions)`` [m].
-            possible: whether the loop can be asked for a plan, of its accelerations and the estimate's own
-                ``(samples - 1, directions)`` [m/s²]; every plan if None.
+            possible: whether the commands can follow a plan, from its accelerations and those of the estimate
+                ``(samples - 1, directions)`` [m/s²]; None accepts every plan.
         """
         stacked = np.concatenate([state, estimate])
         rise = estimate[1:] - estimate[:-1]
@@ -125,11 +125,11 @@ Rows = slice | NDArray[np.int_]
 
 
 class ReferenceTable:
-    """What of a reference does not change with what sensors show, computed before the travel begins.
+    """The parts of a reference that sensors do not change, tabulated before the travel begins.
 
     Args:
         kinematics, reference, profile: of the arm, the reference path, and the travel along it.
-        rest: cycles that the table goes on at rest behind the end of the travel.
+        rest: cycles at rest at the end of the table, after the travel.
 
     Attributes:
         s: arc length at every cycle ``(K,)`` [m].
@@ -169,8 +169,8 @@ class DesiredPath:
     .. math:: x_d(t) = x_r(s(t)) + d_1(t)\, n(s(t)) + d_2(t)\, u(s(t))
 
     with the lateral normal ``n`` and the surface normal ``u`` of the path ([L] (6)); the orientation is the
-    reference's. All of the reference is tabulated beforehand for every cycle, and what a new estimate does not change
-    is not computed again: a cycle without one costs a single pose.
+    reference's. All of the reference is tabulated beforehand for every cycle, and only what a new estimate changes is
+    computed again: a cycle without one costs a single pose.
 
     Args:
         robot, reference, profile: the arm, the reference path, and the travel along it.
@@ -198,7 +198,7 @@ class DesiredPath:
         self._commanded: Commanded | None = None
 
     def led_by(self, feedforward: Feedforward) -> None:
-        """Corrects from now on with what the commands of a feedforward can make within the arm's acceleration."""
+        """Limits corrections from now on to those that a feedforward's commands can make within the limits."""
         robot, table = self._kinematics.robot, self._table
         answer = CommandAnswer.of(feedforward, robot, table.q[len(table) // 2])
         self._commanded = Commanded(answer, robot.a_max, self._per_metre())
@@ -242,7 +242,7 @@ class DesiredPath:
         keep = k + FROZEN if self._planned_to >= k + FROZEN else max(k, 0)
         keep = min(keep, len(self.s) - self.samples - 1)
         if self._planned_to < keep:
-            # Cycles without a call of ``horizon``: the deviation stayed where it was.
+            # Cycles without a call of ``horizon``: the deviation was constant.
             self._plan[0, self._planned_to + 1 : keep + 1] = self._plan[0, max(self._planned_to, 0)]
         coming = slice(keep + 1, keep + 1 + self.samples)
         possible: Callable[[Array, Array], bool] | None = None
@@ -256,7 +256,7 @@ class DesiredPath:
 
     def _solve(self, first: int, end: int) -> None:
         """Inverse kinematics of the cycles ``first … end - 1``."""
-        # What was solved before is nearly right; behind it the offset from the reference's joint angles goes on.
+        # Cycles solved before start from their solution; later ones start from the reference plus the last offset.
         start = self._q[first:end]
         new = self._ever_solved + 1
         if new < end:

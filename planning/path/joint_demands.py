@@ -24,7 +24,7 @@ class Demand:
 
     Attributes:
         alpha, beta: by the path's acceleration and by its squared speed ``(K, n)``.
-        limit: what a joint may use for the travel ``(K, n)``, infinite where unknown.
+        limit: limit of each joint that the travel may use ``(K, n)``, infinite where unknown.
         unit: in messages.
     """
 
@@ -59,7 +59,7 @@ class Demand:
 
 @dataclass(frozen=True)
 class JointDemands:
-    """All that limits a travel along a path in the joints.
+    """All limits of the joints on a travel along a path.
 
     Attributes:
         path: in joint space.
@@ -75,9 +75,8 @@ class JointDemands:
     def of(cls, robot: Robot, path: JointPath, share: float) -> JointDemands:
         """The demands of a path on an arm.
 
-        Torques are those of the URDF's rigid body and of the rotors: gravity is taken from the limit first, then what
-        friction takes, and of the rest the share. A limit that does not hold the arm anywhere on the path is not the
-        joint's.
+        Torques are those of the URDF's rigid body and of the rotors. The travel may use the share of what the limit
+        leaves after gravity and friction. A torque limit too small to hold the arm is ignored.
 
         Args:
             robot, path: the arm, and the path in joint space.
@@ -111,7 +110,7 @@ class JointDemands:
             np.sqrt(demand.used(s, self.path.s, speed, acceleration)) for demand in self.demands)], axis=0))
 
     def needed(self, row: int, joint: int, speed: float) -> tuple[str, str]:
-        """What a joint would need for a steady speed, and what the travel may use, in words.
+        """The speed or torque that a joint would need for a steady speed, and what it may use, in words.
 
         Args:
             row, joint: place and joint, counted from 0.

@@ -1,8 +1,8 @@
-"""Joints that are not where the arm's description has them, and what they do to what a camera sees.
+"""Effects of wrong joint places and axes on what a camera on the arm sees.
 
 The tool of such an arm stands at E(q) P(q), P being its pose by the description and E a small motion of the base frame
 that depends on the posture: to first order the sum of the twists of its joints' places and turns, each on the link
-before it. Seen from one posture and reached in another, a point of a line lies beside by the difference of both.
+before it. A point seen from one posture and reached in another is displaced by the difference of both.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from planning.path.joint_path import JointPath
 
 
 class JointsBeside:
-    """How joints that are not as drawn shift what a camera sees of a line against where the tool will come.
+    """How errors of the joints' places displace seen points of a line against where the tool reaches them.
 
-    A camera on an arm that follows sees a point from a distance ``ahead`` before the tool is there. The tool comes onto
-    the line where camera and posture are right *together*, so what E changes over that distance belongs to the camera;
-    everything else that E changes is the arm's.
+    A camera on an arm that follows sees a point from a distance ``ahead`` before the tool is there. The tool reaches
+    the line where camera and posture are right *together*, so a mean change of E over that distance acts as an error of
+    the camera; only the rest can be seen.
 
     Args:
         robot: the arm.
         path: joint angles by which it follows.
-        at: arc length about which the camera is looked at [m].
+        at: arc length at which the camera is linearised [m].
         ahead: how far ahead of the tool it looks [m].
     """
 
@@ -37,18 +37,18 @@ class JointsBeside:
         self._of_camera = self._pose(seen).inverse().toActionMatrix() @ twists
 
     def carried(self, q: Array, s: float) -> Array:
-        """Shifts of the TCP [m, rad] in the base frame that show in a picture, by each joint's place and turn.
+        """Displacements of the TCP [m, rad] in the base frame that show in a picture, per error of each joint.
 
         Args:
             q: from which posture the picture was taken ``(n,)`` [rad].
-            s: arc length of what it shows [m].
+            s: arc length of the points in the picture [m].
 
         Returns:
             ``(6, 6 n)``: rows the TCP's place and turn, columns place [m] and turn [rad] of each joint.
         """
         pose = self._pose(q)
         twists = self._twists(q) - self._twists(self._followed(s)) - pose.toActionMatrix() @ self._of_camera
-        # From a twist about the base's origin to what it does at the TCP.
+        # Moves the twist from the base's origin to the TCP.
         twists[:3] -= pin.skew(pose.translation) @ twists[3:]
         return twists
 

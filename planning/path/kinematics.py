@@ -34,7 +34,7 @@ class InverseKinematics:
         return self._data.oMf[self._tool].copy()
 
     def last_axis(self) -> Array:
-        """Direction of the last joint's axis in the tool frame ``(3,)``; nothing of one that slides."""
+        """Direction of the last joint's axis in the tool frame ``(3,)``; zero for a prismatic joint."""
         jacobian = pin.computeFrameJacobian(self._model, self._data, pin.neutral(self._model), self._tool, pin.LOCAL)
         return np.array(jacobian[3:, -1])
 
@@ -50,7 +50,7 @@ class InverseKinematics:
         Args:
             target: pose of the TCP in the base frame.
             q: where it starts ``(n,)`` [rad].
-            wanted: what more than six joints come near to ``(n,)`` [rad]; where it starts if None.
+            wanted: angles that a redundant arm tends to ``(n,)`` [rad]; the start if None.
         """
         error, q = np.empty(6), np.ascontiguousarray(q, dtype=float)
         pose = np.ascontiguousarray(target.rotation), np.array(target.translation)
@@ -72,9 +72,10 @@ class InverseKinematics:
         return np.asarray(jacobian[:3].T @ force)
 
     def away(self, q: Array, way: Array) -> Array:
-        """Change of the joint angles ``(n,)`` [rad] that takes the TCP along ``way (3,)`` [m, base frame] unturned.
+        """Change of the joint angles ``(n,)`` [rad] that translates the TCP by ``way (3,)`` [m, base frame].
 
-        To first order about ``q (n,)`` [rad]: a way of some centimetres that must not fail, as inverse kinematics may.
+        To first order about ``q (n,)`` [rad]: for some centimetres, where a failure of the inverse kinematics is not
+        acceptable.
         """
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL_WORLD_ALIGNED)
         damped = jacobian @ jacobian.T + DAMPING * np.eye(6)
@@ -132,25 +133,28 @@ class InverseKinematics:
     def path(self, targets: Sequence[pin.SE3], q_start: Array) -> Array:
         """Joint angles ``(N, n)`` along a path of near poses; each starts from the linear continuation of the last two.
 
-        More than six joints are drawn back to ``q_start`` as far as the poses let them. Raises ``OutOfReachError``
-        where the path leaves the reach or the joint limits, or jumps to another posture of the arm.
+        A redundant arm stays as near to ``q_start`` as the poses permit. Raises ``OutOfReachError`` where the path
+        leaves the reach or the joint limits, or jumps to another posture of the arm.
         """
         q = np.empty((len(targets), self.robot.n))
         for i, target in enumerate(targets):
             guess = q_start if i == 0 else (q[i - 1] if i == 1 else 2.0 * q[i - 1] - q[i - 2])
-            # Drawn back step by step: at once, a far posture lets Newton's method overshoot.
+            # The angles return step by step, as with a far target Newton's method overshoots.
             q[i] = self.solve(target, guess, wanted=guess + DRAWN_BACK * (q_start - guess))
         return q
 
     def refine(self, targets: Sequence[pin.SE3], q: Array, tolerance: float = 1e-6) -> Array:
-        """See ``InverseKinematics.refine_rows``; of poses given as such."""
+        """Joint angles ``(N, n)`` of SE3 poses near known solutions; see ``InverseKinematics.refine_rows``.
+
+        See ``InverseKinematics.refine_rows``.
+        """
         rotations = np.array([target.rotation for target in targets]).reshape(-1, 3, 3)
         positions = np.array([target.translation for target in targets]).reshape(-1, 3)
         return self.refine_rows(rotations, positions, q, tolerance)
 
     def refine_rows(self, rotations: Array, positions: Array, q: Array, tolerance: float = 1e-6,
                     wanted: Array | None = None) -> Array:
-        """Joint angles ``(N, n)`` of poses whose nearly right solutions ``q (N, n)`` are known, for the real-time path.
+        """Joint angles ``(N, n)`` of poses whose approximate solutions ``q (N, n)`` are known, for the real-time path.
 
         The error after a step is of the order of the square of the error before, so a pose is done as soon as the
         error *before* a step was below ``sqrt(tolerance)`` [m, rad].

@@ -1,7 +1,7 @@
 """The arithmetic of path coordinates that runs several times in each cycle, compiled.
 
-A path is given by its pieces: cubics ``(K, 4, 3)`` of the position, highest power first, on even knots from 0 on, with
-one straight piece more at each end; and likewise ``(K - 2, 4, 3)`` of the surface normal, without those.
+A path is given by its segments: cubics ``(K, 4, 3)`` of the position, highest power first, on even knots from 0 on,
+with one straight piece more at each end; and likewise ``(K - 2, 4, 3)`` of the surface normal, without those.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float)
         cubics: coefficients of the path as for ``frames_at``.
         knot: spacing of the knots [m].
         points: ``(m, 3)`` [m].
-        first: least arc length that is looked at [m].
+        first: least arc length of the search [m].
         end: largest one [m].
     """
     last = cubics.shape[0] - 1
@@ -132,7 +132,7 @@ def deviation_basis(position: Array, directions: tuple[Array, Array], wanted: in
 
     Args:
         position: points of the path ``(m, 3)``.
-        directions: normals and ups there, ``(m, 3)`` each; the first ``wanted`` count.
+        directions: normals and ups there, ``(m, 3)`` each; the first ``wanted`` are used.
         wanted: number of directions.
         turning: the rigid motion.
         s: arc lengths ``(m,)``.
@@ -213,7 +213,7 @@ def displaced_frames(
 def sensor_errors(
     normal: Array, up: Array, ray: Array, lever: Array, velocity: Array, rate: Array
 ) -> tuple[Array, Array, Array]:  # pragma: no cover
-    """How a camera's errors and a wrong height displace points seen along ``normal``, ``(m,)`` each.
+    """Displacements of seen points along ``normal`` by a camera's errors and by a wrong height, ``(m,)`` each.
 
     Of a camera turned about the surface normal [m/rad], n·(u × r); of a time stamp [m/s], n·(v + ω × l); and by how
     much a ray slants across the path, (r·n)/(r·u).

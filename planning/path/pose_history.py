@@ -1,4 +1,4 @@
-"""Where the arm was at an instant between the controller's samples: what a late sensor value belongs to ([L] 4.3)."""
+"""Interpolates where the arm was between the controller's samples, for sensor values that come late ([L] 4.3)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ROWS = 0.05
 
 
 def check_cycle(robot: Robot) -> None:
-    """Raises ``InputError`` where the arm's place is not known wherever a camera looks in a cycle: it is too long."""
+    """Raises ``InputError`` where a cycle is too long to forecast the arm at every exposure in it."""
     if robot.t_ipo > AHEAD:
         raise InputError(f"a camera is told where to look before the cycle of its field, and the arm is forecast by "
                          f"{AHEAD:g} s: expected a cycle of at most that (world.t_ipo, or t_ipo in the arm's TOML)",
@@ -44,7 +44,7 @@ class PoseHistory:
 
     @property
     def first(self) -> float:
-        """Earliest instant one can ask for [s]."""
+        """Earliest instant for which a pose is available [s]."""
         return self._t[0]
 
     def add(self, t: float, q: Array) -> None:
@@ -59,7 +59,7 @@ class PoseHistory:
             self._q.popleft()
 
     def revise(self, t: float, q: Array) -> None:
-        """Replaces the sample at ``t`` [s] by ``q (n,)`` [rad]: what was estimated then is known better now."""
+        """Replaces the sample at ``t`` [s] by the better estimate ``q (n,)`` [rad]."""
         for i in range(len(self._t) - 1, -1, -1):
             if abs(self._t[i] - t) < ROUNDING:
                 self._asked.clear()
@@ -88,18 +88,18 @@ class PoseHistory:
 
     def pose(self, t: float) -> pin.SE3:
         """TCP pose in the base frame at ``t`` [s], not to be written to; raises as ``q``."""
-        # A field asks for the pose of its exposure several times, and so do samples of a force.
+        # The pose of an exposure is requested several times, so it is cached.
         if (pose := self._asked.get(t)) is None:
             pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
             pose = self._asked[t] = self._data.oMf[self._tool].copy()
         return pose
 
     def row_pose(self, t: float) -> pin.SE3:
-        """``pose`` for a picture or its row; the first may be stamped before the first sample, when the arm rested."""
+        """TCP pose in the base frame at ``t`` [s], shared and read-only; raises as ``q``."""
         return self.pose(self._row(t))
 
     def row_q(self, t: float) -> Array:
-        """``q`` for a picture or its row, as ``row_pose``."""
+        """Joint angles for a picture or one of its rows; see ``row_pose`` for instants before the first sample."""
         return self.q(self._row(t))
 
     def _row(self, t: float) -> float:

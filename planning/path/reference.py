@@ -64,7 +64,7 @@ class PathFrames:
     Attributes:
         position: points of the path [m].
         tangent: unit vectors of travel.
-        normal: unit vectors to the left in the surface; lateral deviations count along them.
+        normal: unit vectors to the left in the surface; lateral deviations are positive along them.
         up: unit vectors out of the surface.
         curvature: in the surface, positive to the left ``(m,)`` [1/m]; 0 beyond the ends.
     """
@@ -165,7 +165,7 @@ class ReferencePath:
 
         Args:
             points: ``(m, 3)`` [m].
-            s_near: where on the path to look [m]; what keeps crossings apart.
+            s_near: arc length about which to search [m]; it separates crossings of the path.
             span: how far from there [m].
         """
         s = feet_of(self._cubics, self._knot, points, s_near - span, s_near + span)
@@ -188,7 +188,7 @@ class ReferencePath:
         x = np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left
         R = np.stack([x, np.cross(x, frames.up), -frames.up], axis=2)
         if rotation is not None:
-            # The given orientation holds where the heading is the mean direction; all others turn with the surface.
+            # The given orientation applies at the mean heading; elsewhere it turns with the surface.
             mean_frame = np.column_stack([ahead[0], np.cross(ahead[0], frames.up[0]), -frames.up[0]])
             R = R @ (mean_frame.T @ np.asarray(rotation, dtype=float))
         w = np.array([pin.log3(R[0].T @ R_i) for R_i in R])

@@ -26,13 +26,13 @@ RESOLVED = 0.005
 
 @dataclass(frozen=True)
 class Limits:
-    """What the travel has to keep.
+    """Limits that the travel has to keep.
 
     Attributes:
         speed: top speed [m/s].
         acceleration, jerk: along the path [m/s², m/s³].
-        share: share of the joints' velocity and acceleration limits that the reference may use; the rest is for
-            corrections by sensors.
+        share: share of the joints' velocity and acceleration limits that the reference may use; corrections by sensors
+            may use the rest.
     """
 
     speed: float
@@ -60,7 +60,7 @@ class SpeedProfile:
         duration: time from rest to rest [s].
         length: distance travelled [m].
         top_speed: highest speed that is reached [m/s].
-        slowed: where a joint keeps the speed below the one asked for: ``(from s, to s, lowest speed, joint)``.
+        slowed: where a joint keeps the speed below the required one: ``(from s, to s, lowest speed, joint)``.
         joint_path: the path in joint space that it was planned on; None for a travel given by its samples.
     """
 
@@ -103,7 +103,7 @@ class SpeedProfile:
         """Plans the travel along the whole reference.
 
         Args:
-            robot: whose joint limits count.
+            robot: the arm with its joint limits.
             reference: the path.
             limits: or just the top speed [m/s].
             joint_path: the reference in joint space, if it is known already.
@@ -121,12 +121,12 @@ class SpeedProfile:
 
     @classmethod
     def fastest(cls, robot: Robot, limits: Limits, joint_path: JointPath) -> SpeedProfile:
-        """Plans the travel at the top speed that was asked for, or at the highest that path and joints allow.
+        """Plans the travel at the required top speed, or at the highest that path and joints allow.
 
         Raises InputError for a path that would last too long.
 
         Args:
-            robot: whose joint limits count.
+            robot: the arm with its joint limits.
             limits: of the travel.
             joint_path: the reference in joint space.
         """
@@ -164,7 +164,7 @@ def _fastest(demands: JointDemands, by_joint: Array, limits: Limits) -> tuple[Sp
         near = np.clip(np.round(places / ds).astype(int), 0, len(lowered) - 1)
         np.minimum.at(lowered, near, 1.0 / np.maximum(excess, 1.0))
         limit = limit * minimum_filter1d(lowered, size=15)
-    # What lowering the limit here and there does not cure, going slower as a whole does.
+    # Where lowering the limit locally does not suffice, the whole travel is slowed.
     slower = float(excess.max())
     tick = _tick(profile.duration * slower)
     ticks = tick * np.arange(round(profile.duration * slower / tick) + 1)

@@ -1,4 +1,4 @@
-"""The seam of cameras: what a camera that looks ahead of the tool is asked for, and what it gives."""
+"""The interface of cameras that look ahead of the tool: requests for fields, and the fields that arrive."""
 
 from __future__ import annotations
 
@@ -58,8 +58,9 @@ class Camera(Protocol):
     """A camera as a device.
 
     It exposes on its own clock, not the controller's, and its fields come late and not always in order. Each field is
-    stamped with the *controller's* time of mid-exposure as well as the device knows it; what is wrong with the stamps
-    is estimated on the way (``FollowerSettings.stamp``) and found by diagnosis (effect ``camera_latency``).
+    stamped with the *controller's* time of mid-exposure as well as the device knows it; errors of the stamps are
+    estimated while the line is followed (``FollowerSettings.stamp``) and found by diagnosis (effect
+    ``camera_latency``).
     """
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:

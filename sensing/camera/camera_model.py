@@ -1,4 +1,4 @@
-"""A camera as it is calibrated: intrinsics, lens distortion and where it sits on the tool.
+"""A calibrated camera: intrinsics, lens distortion and its pose on the tool.
 
 The model is OpenCV's: a point (X, Y, Z) in the camera frame (x right, y down, z along the optical axis) becomes
 
@@ -94,7 +94,7 @@ def _project_points(points: Array, K: Array, k: Array) -> Array:
 
 @jit()
 def pixel_rays(pixels: Array, K: Array, k: Array) -> Array:
-    """Rays ``(m, 3)`` with z = 1 of pixels ``(m, 2)``.
+    """Rays ``(m, 3)`` in the camera frame, scaled to z = 1, of pixels ``(m, 2)``.
 
     Args:
         pixels: ``(m, 2)`` [px].
@@ -193,7 +193,7 @@ class CameraModel:
 
     @property
     def axis_on_surface(self) -> Array:
-        """Where the optical axis meets the tool frame's x-y plane, where surfaces are taken for lying ``(3,)`` [m]."""
+        """Point ``(3,)`` [m] where the optical axis meets the tool frame's x-y plane, the assumed surface."""
         mount = self.T_tool_camera
         distance = -mount.translation[2] / mount.rotation[2, 2]
         return np.asarray(mount.translation + distance * mount.rotation[:, 2])
@@ -223,7 +223,7 @@ class CameraModel:
     def row_delay(self, pixels: Array) -> Array:
         """How much later than the picture's middle row the rows of pixels ``(m, 2)`` are exposed ``(m,)`` [s].
 
-        Beyond the image, that of its edge; NaN counts as the middle.
+        Pixels beyond the image have the delay of its edge, pixels that are NaN have none.
         """
         rows = np.nan_to_num(np.asarray(pixels, dtype=float)[:, 1], nan=0.5 * (self.height - 1))
         return self.readout * (np.clip(rows / max(self.height - 1, 1), 0.0, 1.0) - 0.5)

@@ -1,4 +1,4 @@
-"""Cameras by address, as one gives it on the command line."""
+"""Opens cameras by their addresses, as the command line takes them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class FrameSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Gives the camera back."""
+        """Closes the camera and releases the device."""
         ...
 
 
@@ -71,7 +71,7 @@ _FIELD = struct.Struct(">IHH")
 
 
 class StreamCamera:
-    """A ``FrameSource`` over a stream; stamps are mid-exposures by the sender's clock, which is asked for.
+    """A ``FrameSource`` over a TCP stream; stamps are mid-exposures by the sender's clock, which is requested over it.
 
     Args:
         host, port: address of the sender, and TCP port.
@@ -109,7 +109,7 @@ class StreamCamera:
         return package
 
     def read(self, timeout: float) -> Frame | None:
-        """See ``FrameSource.read``; a sender that leaves is waited for."""
+        """The next picture, see ``FrameSource.read``; waits for a sender that disconnects to come back."""
         package, self._first = self._first or self._connection.next(timeout), None
         arrived = time.perf_counter()
         if package is None:
@@ -130,7 +130,7 @@ class StreamCamera:
         return np.frombuffer(payload, np.uint8, offset=_FIELD.size).reshape(height, width)
 
     def close(self) -> None:
-        """See ``FrameSource.close``."""
+        """Disconnects from the sender; see ``FrameSource.close``."""
         self._connection.close()
 
 
@@ -139,7 +139,7 @@ _GRAY_OF = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
 
 
 class GenICamCamera:
-    """A ``FrameSource`` over a harvesters image acquirer; stamps are of the camera's own clock.
+    """A ``FrameSource`` over the image acquirer of the library harvesters; stamps are of the camera's own clock.
 
     Args:
         acquirer: an ``ImageAcquirer`` of harvesters, or whatever has its ``start``, ``fetch``, ``stop``, ``destroy``.
@@ -165,7 +165,7 @@ class GenICamCamera:
 
     @classmethod
     def open(cls, producer: Path, serial: str | None = None, least_delay: float = 0.0) -> GenICamCamera:
-        """A camera by its producer's GenTL file; raises ``InputError`` without harvesters, such a file or a camera.
+        """Opens a camera by its GenTL producer file; raises ``InputError`` without harvesters, such a file or a camera.
 
         Args:
             producer: the ``.cti`` file that came with the camera.
@@ -189,7 +189,7 @@ class GenICamCamera:
         return cls(library.create(0 if serial is None else {"serial_number": serial}), least_delay, library)
 
     def read(self, timeout: float) -> Frame | None:
-        """See ``FrameSource.read``."""
+        """The next picture; None if none comes within ``timeout`` [s]; see ``FrameSource.read``."""
         stamped_image = self._fetched(timeout)
         if stamped_image is None:
             return None
@@ -203,7 +203,7 @@ class GenICamCamera:
         return Frame(self._number, stamp, arrived, image)
 
     def close(self) -> None:
-        """See ``FrameSource.close``."""
+        """Closes the camera and releases the device; see ``FrameSource.close``."""
         self._acquirer.stop()
         self._acquirer.destroy()
         if self._library is not None:

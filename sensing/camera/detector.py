@@ -1,4 +1,4 @@
-"""The seam of line detectors: a field cut to windows and a prediction in, line points out."""
+"""The interface of line detectors: from a field cut to windows and a predicted line to line points."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class LineDetector(Protocol):
         """Line points of a field, in the tool frame; raises ``InputError`` without one window per predicted point.
 
         Args:
-            field: patches of the windows that ``search_windows`` asked for.
+            field: the pixels of the windows that ``search_windows`` returned.
             camera: the camera as it is calibrated.
             prediction: where the line should be, in the tool frame; point i belongs to window i.
             settings: how the line looks and what is accepted.
@@ -40,7 +40,7 @@ class EdgePairs:
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """See ``LineDetector.detect``."""
+        """Line points of a field, in the tool frame; see ``LineDetector.detect``."""
         return detect_line(field, camera, prediction, settings)
 
 

@@ -77,16 +77,16 @@ of what only tells outliers."""
 
 @dataclass(frozen=True)
 class Observation:
-    """Line points of one field, and where the robot says the tool was.
+    """Line points of one field, and the tool pose that the robot measured at the exposure.
 
     Attributes:
         pose: TCP pose in the base frame at the time stamp, from the motor angles.
         pixels: detected points ``(m, 2)`` [px].
         sigma: their lateral standard deviations ``(m,)`` [m].
         velocity, angular_velocity: of the TCP in the base frame ``(3,)`` [m/s, rad/s]; zero at rest.
-        carried: how joints that are not as drawn shift what is seen against where the tool will come ``(6, 6 n)``: the
-            TCP and its turn in the base frame by each joint's place [m] and turn [rad] on the link before it; without
-            columns where that is not known.
+        carried: how errors of the joints' places shift the seen points against the places that the tool will reach
+            ``(6, 6 n)``: the TCP and its turn in the base frame by each joint's place [m] and turn [rad] on the link
+            before it; without columns where the arm is not known.
     """
 
     pose: pin.SE3
@@ -122,7 +122,7 @@ class HandEye:
     surface: pin.SE3 = field(default_factory=pin.SE3.Identity)
 
     def across(self) -> float:
-        """Standard deviation of where the middle of the view lies across the travel, at the tool's tip [m]."""
+        """Standard deviation, at the tool tip across the travel, of the point in the middle of the view [m]."""
         pixel, names = self.camera.K[:2, 2], list(self.parameters)
         slope = [(_aside(self.camera.perturbed(**{name: _SMALL}), pixel) - _aside(self.camera, pixel)) / _SMALL
                  if name not in NO_CAMERA else 0.0 for name in names]
@@ -155,8 +155,8 @@ def calibration_poses(
     z = -np.asarray(normal, dtype=float)
     x = np.asarray(tangent, dtype=float)
     turn_0 = np.column_stack([x, np.cross(z, x), z])
-    # Lifted poses first, then low ones: the way is short. Turns that only rise are shorter still and cost accuracy, as
-    # the gears' friction then pulls all one way.
+    # Lifted poses come first, then low ones, as that way is the shortest. Turns that only rise would be shorter still
+    # but less accurate, as the gears' friction then always acts in one direction.
     for turn in np.radians([3.0, -39.0, -84.0, 84.0, 39.0]):
         for along, aside, up in ((0.0, -move, lift), (move, 0.0, lift), (-move, 0.0, 0.0), (0.0, move, 0.0)):
             R = turn_0 @ pin.rpy.rpyToMatrix(0.0, 0.0, float(turn))
@@ -173,7 +173,7 @@ def calibrate(
     prior: Mapping[str, float] = PRIOR,
     knot: float = 0.015,
 ) -> HandEye:
-    """Estimates what is wrong with the camera from observations of one piece of the line.
+    """Estimates the camera's calibration errors from observations of one segment of the line.
 
     Raises ``SensingError`` for too few points.
 
@@ -192,7 +192,7 @@ def calibrate(
     if len(observations) < 3 or problem.count < len(names) + 10:
         raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
     before = problem.solve(np.zeros(len(names)), scale, steps=0)
-    # Twice: the second time without what contradicts the first result.
+    # Solved twice: the second time without the points that contradict the first result.
     first = problem.solve(np.zeros(len(names)), scale, still=_NEAR)
     problem.drop_outliers(first.residual)
     fit = problem.solve(first.values, scale)
@@ -219,7 +219,7 @@ def _shared(values: Array, covariance: Array, height: int, of_camera: float, of_
     k, share = len(values), of_surface / (of_camera + of_surface)
     parts, together = np.eye(k + 1, k), np.zeros(k + 1)
     parts[[height, k], height], together[[height, k]] = (1.0 - share, -share), 1.0
-    # A rise of camera and surface together changes no picture: its variance is that of before.
+    # A common rise of camera and surface changes no picture, so its variance stays that of the prior.
     return parts @ values, parts @ covariance @ parts.T + share * of_camera * np.outer(together, together)
 
 

@@ -1,4 +1,4 @@
-"""How a line looks, found in pictures of which only the surface's place is known: width and polarity."""
+"""Finds width and polarity of a line in pictures where only the place of the surface is known."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEAST = 0.25
 
 @dataclass(frozen=True)
 class LineAppearance:
-    """A line as pictures show it.
+    """Width, polarity and contrast of a line as pictures show it.
 
     Attributes:
         width: on the surface [m].
@@ -38,11 +38,11 @@ class LineAppearance:
 
 
 def line_appearance(pictures: Sequence[Gray], camera: CameraModel, above: float = 0.0) -> LineAppearance:
-    """Width, polarity and contrast of the line in whole pictures, from which only the surface's place is known.
+    """Width, polarity and contrast of the line in whole pictures where only the place of the surface is known.
 
-    In each picture the line ahead of the tool counts (``detect_in_picture``); behind, the tool itself or its hose could
-    be clearer. The polarity is that of most pictures, width and contrast are the medians of those.
-    Raises ``SensingError`` where no picture shows a line.
+    In each picture only the line ahead of the tool is used (``detect_in_picture``); behind, the tool itself or its hose
+    could be clearer. The polarity is that of most pictures, width and contrast are the medians of those. Raises
+    ``SensingError`` where no picture shows a line.
 
     Args:
         pictures: gray, of different pieces of the line ``(height, width)`` each.

@@ -25,10 +25,10 @@ from sensing.camera.line_search import DetectionSettings, PredictedImage, Predic
 
 # Which points of a field the others confirm.
 #
-# A straight line through three points, one of them far from the other two, bends to that one: its own residual stays
-# small however wrong it is (its leverage is nearly 1; Baarda's *internal reliability*). So a point is held against the
-# line of the *other* points, extrapolated to it, never against a line that it has drawn itself. How far a line of the
-# right shape may be from that line the prediction's covariance says: nothing where the shape is known.
+# A straight line through three points, one of them far from the other two, is drawn to that one: its own residual stays
+# small however wrong it is (its leverage is nearly 1; Baarda's *internal reliability*). So a point is compared with the
+# line of the *other* points, extrapolated to it, never with a line that it determines itself. The prediction's
+# covariance says how far a line of the right shape may be from that line: not at all where the shape is known.
 
 BEND = 3.0
 """Standard deviations by which a line's shape may be another than predicted; it is by more once in 370 times."""
@@ -37,17 +37,17 @@ BEND = 3.0
 @jit()
 def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], tolerance: float,
                      covariance: Array) -> NDArray[np.bool_]:
-    """The points ``(m,)`` that lie within a tolerance of the least-squares line of the others.
+    """Mask of the points ``(m,)`` that lie within a tolerance of the least-squares line of the others.
 
-    As long as one does not, the one that contradicts the others most is taken out.
-    Two points or fewer have nothing to be held against and remain.
+    While one does not, the point that deviates most from the others is rejected. Two points or fewer cannot be checked
+    and are accepted.
 
     Args:
         along: places along the prediction ``(m,)`` [m].
         deviation: from the prediction ``(m,)`` [m]; where not used, of no account.
         used: points to choose from ``(m,)``.
-        tolerance: how far a point may be off [m], beside what the prediction leaves open.
-        covariance: of the prediction ``(m, m)`` [m²]; a motion of the whole line counts for nothing.
+        tolerance: largest accepted deviation of a point [m], in addition to the prediction's uncertainty.
+        covariance: of the prediction ``(m, m)`` [m²]; a common shift of the whole line is not part of it.
     """
     m = along.size
     confirmed, weight = used.copy(), np.empty(m)
@@ -75,7 +75,8 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
             open_to = float(weight @ covariance @ weight)
             off /= math.sqrt(1.0 + (BEND / tolerance) ** 2 * max(open_to, 0.0))
             refused = refused or off > tolerance
-            # In standard deviations: what the others say of a far end is itself uncertain.
+            # The deviation is divided by its standard deviation, as the others' extrapolation to a far end is
+            # uncertain.
             off /= math.sqrt(1.0 + 1.0 / count + ((a / count) ** 2 / spread if spread > 0.0 else 0.0))
             if off > worst:
                 worst, out = off, i
@@ -93,7 +94,7 @@ SAMPLING = 0.01
 
 @dataclass(frozen=True)
 class LineField:
-    """What one field says of the line; row i belongs to predicted point i.
+    """Line points of one field with their quality; row i belongs to predicted point i.
 
     Attributes:
         t: time stamp of the exposure [s].
@@ -200,7 +201,7 @@ def _sections(image: PredictedImage, gray: NDArray[np.uint8], windows: NDArray[n
         a, w, h = axis[i], windows[i, 2], windows[i, 3]
         patch = gray[start : start + w * h].reshape(h, w)
         start += w * h
-        # Predicted anew, the line may lie across the diagonal; the window's own direction stays the scan.
+        # The new prediction may lie across the diagonal; the scan direction stays that of the window.
         if w * h == 0 or (h > w) != (a == 1):
             continue
         rows = np.ascontiguousarray(patch.T) if a == 1 else patch
@@ -229,7 +230,7 @@ def _evaluate(image: PredictedImage, points: Array, gray: NDArray[np.uint8], win
         nearest[i] = -1
     for j in range(n):
         i = owner[j]
-        # The window's middle row is not the predicted point's: what the line runs on between them is no deviation.
+        # The window's middle row is not the predicted point's: the line's slant between the two is no deviation.
         deviation[j] = (s[j, 0] - pixels[i, axis[i]] - s[j, 5] * slant[i]) * metres[i]
         width = s[j, 1] * abs(metres[i]) / look.line_width
         misfit = s[j, 3] / max(s[j, 2], 1.0)
@@ -283,9 +284,9 @@ def _back_project(pixels: Array, points: Array, normal: Array, R: Array, p: Arra
 def detect_line(
     field: Field, camera: CameraModel, prediction: PredictedLine, settings: DetectionSettings | None = None
 ) -> LineField:
-    """See ``LineDetector.detect``.
+    """Line points of a field, in the tool frame; see ``LineDetector.detect`` for arguments and errors.
 
-    The prediction may be a better one than the windows were made with, but for the same points.
+    The prediction may be newer than the one the windows were made with; it must be of the same points.
     """
     s = settings or DetectionSettings()
     m = len(prediction.points)
@@ -318,7 +319,7 @@ def _reason(field: Field, found: int, used: int, s: DetectionSettings) -> str:
 #
 # "We compute the camera position of the time instant of sensing and then evaluate the measured sensor data for this
 # time instant" ([L] 4.3). With a rolling readout each row has an instant of its own: a point belongs to the arm's pose
-# at its row's. Told once how long the readout takes, a camera needs no more than that; without one nothing changes.
+# at its row's. The readout time is all that has to be known; with a readout time of zero nothing changes.
 
 PoseAt = Callable[[float], pin.SE3]
 """Pose of the TCP in the base frame at a time [s], as the controller knows it."""

@@ -1,4 +1,4 @@
-"""What a path in a picture looks like when it is straightened, and how likely that is a line.
+"""Features of a path in a picture after it is straightened, and the log odds that the path is a line.
 
 Sections across the path are laid beside each other, so that the edges of a line stand still: its inside at -1 … 1, its
 sides beyond. The direction of colour that separates inside and sides best (Fisher's) makes one number of every pixel, 1
@@ -25,7 +25,7 @@ SECTIONS = 48
 """Sections across a line in which it is looked at."""
 _ALONG = 3
 """Places of which the mean is taken in each section."""
-# Places across the line, its edges at ±1; those in it and beside it leave the blurred edges out.
+# Places across the line, whose edges are at ±1; inside and sides leave out the blurred edges.
 _T = np.linspace(-2.0, 2.0, 41)
 _LEFT, _RIGHT = slice(0, int(np.searchsorted(_T, -1.25))), slice(int(np.searchsorted(_T, 1.25)), len(_T))
 _INSIDE = slice(*np.searchsorted(_T, [-0.65, 0.65]).tolist())
@@ -54,7 +54,7 @@ _NARROWEST = 0.5
 
 @dataclass(frozen=True)
 class Strip:
-    """A line straightened out.
+    """A line straightened out: cross-sections side by side, with their edges and features.
 
     Attributes:
         points: middle of each section ``(n, 2)`` [px].
@@ -64,7 +64,7 @@ class Strip:
         shown: share of the usual contrast that each section shows ``(n,)``, on the weaker side.
         color: inside less sides, lightness and weighted colour ``(3,)``.
         direction: of colour that separates them, scaled to 1 for ``color`` ``(3,)``.
-        features: what the decision goes by, see ``Features`` ``(15,)``.
+        features: numbers from which it is decided whether this is a line, see ``Features`` ``(15,)``.
     """
 
     points: Array
@@ -78,12 +78,12 @@ class Strip:
 
     @property
     def confidence(self) -> Array:
-        """How sure each point is, 0 … 1 ``(n,)``: by how much of the usual contrast it shows."""
+        """Confidence of each point, 0 … 1 ``(n,)``: its contrast as a share of the usual contrast."""
         return np.clip(self.shown, 0.0, 1.0)
 
     @property
     def length(self) -> float:
-        """Along the line [px]."""
+        """Length along the line [px]."""
         return float(np.sqrt((np.diff(self.points, axis=0) ** 2).sum(axis=1)).sum())
 
     def thinned(self, count: int) -> Strip:
@@ -91,7 +91,7 @@ class Strip:
         return self._of(np.linspace(0, len(self.points) - 1, count).round().astype(int))
 
     def part(self, first: int, end: int) -> Strip:
-        """The strip from one section to before another."""
+        """The strip from section ``first`` up to, but without, section ``end``."""
         return self._of(np.arange(first, end))
 
     def reversed(self) -> Strip:
@@ -105,14 +105,14 @@ class Strip:
 
 
 class Features(NamedTuple):
-    """What lines have more of than what is none, each a number of the order of one.
+    """Features by which lines differ from other things in a picture, each of the order of one.
 
     Attributes:
         length: logarithm of the length over the picture's shorter side.
         clarity: of the contrast over the scatter within inside and sides.
-        taper: of how little a linear taper leaves of the width [px].
+        taper: of the residual that a linear taper of the width has [px].
         sides: difference of both sides over the contrast, negative.
-        alone: logarithm of 1 and what runs beside it over the contrast, negative.
+        alone: negative logarithm of 1 plus the contrast of parallel edges beside it over its own contrast.
         slender: logarithm of the length over the width.
         in_view: of how many of its widths are in view, ``_LITTLE_IN_VIEW`` at most; at an end that lies at the border
             it goes on, by half as many.
@@ -166,7 +166,7 @@ def evidence(strip: Strip, *, joint: bool = False) -> float:
 
     Args:
         strip: the candidate.
-        joint: it lies between two things: that its sides are less alike than those of most candidates is no evidence.
+        joint: the line is a joint between two parts, so that a difference of its two sides is no evidence against it.
     """
     z = standardised(strip.features, MEANS, SPREADS)
     if joint:
@@ -175,7 +175,7 @@ def evidence(strip: Strip, *, joint: bool = False) -> float:
 
 
 def standardised(features: Array, means: Array, spreads: Array) -> Array:
-    """Features as they are weighed ``(…, 15)``.
+    """Features ``(…, 15)`` less their means, over their spreads: the form in which they are weighted.
 
     Args:
         features: ``(…, 15)``.
@@ -185,7 +185,7 @@ def standardised(features: Array, means: Array, spreads: Array) -> Array:
 
 
 def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
-    """A path's sections, its edges found anew in each.
+    """A strip along a path, with the edges found anew in each cross-section.
 
     Args:
         lab: of ``lab_picture``.
@@ -203,7 +203,7 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
 
 
 def measured_again(lab: Lab, strip: Strip, path: Path, sections: int) -> Strip:
-    """A line that is known, its edges found anew in another picture of it; its features are those that it had.
+    """A known line with its edges measured anew in another picture; its features are kept.
 
     Args:
         lab: of ``lab_picture``, of that picture.
@@ -307,7 +307,7 @@ def _smoothed(values: Array, half: int) -> Array:
     long, middle, five = np.empty(n + 2 * reach), np.empty(n + 2 * half), np.empty(5)
     for c in range(channels):
         for i in range(-reach, n + reach):
-            # Reflected about the end values, so that slopes stay.
+            # Values are reflected about the end values, so that slopes are preserved.
             if i < 0:
                 long[i + reach] = 2.0 * values[0, c] - values[min(-i, n - 1), c]
             elif i >= n:
@@ -382,9 +382,9 @@ def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip
     middle, least = edges.mean(axis=1), np.sqrt((sigmas**2).sum(axis=1)) / edges.shape[1]
     widths = np.zeros_like(middle) if edge else np.maximum(edges[:, 1] - edges[:, 0], 0.5)
     centres = points + middle[:, None] * normals
-    # Grain, ragged edges and what a camera makes of a picture are no noise that is known: how the points scatter about
-    # their neighbours' course says how large all of it is. Fourth differences leave nothing of a course that bends
-    # evenly, and of independent errors, weighed 1, -4, 6, -4, 1, the variance 70 σ².
+    # Grain, ragged edges and the camera's processing are of unknown size: the scatter of the points about the curve of
+    # their neighbours measures them together. Fourth differences vanish for a curve of even curvature; of independent
+    # errors, with weights 1, -4, 6, -4, 1, they have the variance 70 σ².
     fourth = np.einsum("nd,nd->n", np.diff(centres, 4, axis=0), normals[2:-2])
     scatter = _MAD * float(_median(np.abs(fourth))) / np.sqrt(70.0)
     sigma = least * max(1.0, scatter / float(_median(least)))

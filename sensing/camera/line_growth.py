@@ -1,4 +1,4 @@
-"""A path continued in the plane from both of its ends, as long as what it shows goes on.
+"""Extends a path in the picture plane beyond both of its ends, as long as the same cross-section goes on.
 
 Paths of ``line_paths`` are functions of the column or of the row, so a line that turns back ends where it turns. From
 an end the line is followed step by step: of several turns and sidesteps the one is taken whose cross-section shows most
@@ -42,12 +42,12 @@ _SHARPEST = math.radians(120.0)
 
 
 def continued(lab: Lab, strip: Strip, longer: float = 1.08) -> Strip:
-    """A line with what continues it at both ends, straightened anew; the line itself where that is next to nothing.
+    """A line extended at both ends and straightened anew; the line itself where it can hardly be extended.
 
     Args:
         lab: of ``lab_picture``.
         strip: the line.
-        longer: ratio of lengths from which on it is straightened anew.
+        longer: least ratio of the extended length to the old one at which it is straightened anew.
     """
     width = float(np.median(strip.widths))
     points = grown(lab, strip.points, width, strip.direction)
@@ -59,7 +59,7 @@ def continued(lab: Lab, strip: Strip, longer: float = 1.08) -> Strip:
 
 
 def grown(lab: Lab, points: Array, width: float, direction: Array) -> Array:
-    """The points ``(m, 2)`` [px] of a path with what continues it at both ends; the path itself where nothing does.
+    """Points ``(m, 2)`` [px] of a path extended at both ends; the path itself where it cannot be extended.
 
     Args:
         lab: of ``lab_picture``.
@@ -110,7 +110,7 @@ def _corner(image: Floats, x: float, y: float, angle: float, half: float, step: 
         turn = _SHARPEST * (2.0 * r / (_RAYS - 1) - 1.0)
         phi = angle + turn
         for back in range(-2, 3):
-            # The middle of the line's width about the last place seen, where both legs meet.
+            # The mean over the line's width about the last point, where both branches meet.
             u, v = x + 0.5 * back * half * math.cos(angle), y + 0.5 * back * half * math.sin(angle)
             least = total = 1.0
             for k in range(_ALONG_RAY):
@@ -139,7 +139,7 @@ def _followed(image: Floats, way: Array, half: float) -> Array:
     found = np.empty((_STEPS, 2))
     count = good = missed = 0
     before, cornered = angle, -1
-    # What lies less than this far back along the line is no meeting with itself.
+    # The line does not meet itself within this distance back along it.
     away = 4.0 * half + 4.0
     while count < _STEPS:
         if missed > _LOOK_BACK:

@@ -6,9 +6,9 @@ like manner: with d_l and d_r, inside less left and less right,
 
     contrast = d_l · d_r / max(|d_l|, |d_r|)
 
-is nothing at a single edge and negative on a slope. Dynamic programming links pairs of neighbouring columns: a link
-counts as the logarithm of how much likelier places, widths and colours of two pairs are if they belong to one line than
-if they have nothing to do with each other. Long paths of that score are not chance.
+is nothing at a single edge and negative on a slope. Dynamic programming links pairs of neighbouring columns: the score
+of a link is the logarithm of how much likelier places, widths and colours of two pairs are if they belong to one line
+than if they have nothing to do with each other. Long paths of that score are not chance.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ _LEAST = 4.0
 """Contrast below which nothing is looked at [gray]."""
 _GAP = 4
 """Columns that a link may leap over."""
-_CENTRE, _WIDTH, _CONTRAST, _INSIDE, _CLEAR, _FIELDS = 0, 1, 2, 5, 8, 9  # columns of a pair, three a colour
+# Columns of a pair of edges; three each for contrast and inside, one per colour.
+_CENTRE, _WIDTH, _CONTRAST, _INSIDE, _CLEAR, _FIELDS = 0, 1, 2, 5, 8, 9
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,9 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
 
 
 def paths(lab: Lab, *, widest: float, through: Array | None = None, within: float = 0.0) -> list[Path]:
-    """The paths that stand out most, along the columns and along the rows of a picture.
+    """Paths with the highest scores, along the columns and along the rows of a picture.
 
-    What passes a pixel has no rivals there, however weak it is: nothing else is looked at in the columns about it.
+    With a pixel to pass through, only paths through it are searched in the columns about it, however weak they are.
 
     Args:
         lab: of ``lab_picture``.
@@ -97,7 +98,7 @@ def paths(lab: Lab, *, widest: float, through: Array | None = None, within: floa
             if through is not None:
                 column = ((through[along] + 0.5) * size[0] / along_size - 0.5 - every // 2) / every
                 row = (through[1 - along] + 0.5) * size[1] / across_size - 0.5
-                # So many as a link may leap over would otherwise be leapt over.
+                # A link may leap over this many columns, so a weak pixel to pass through would otherwise be leapt over.
                 for i in range(max(0, round(column) - _GAP // 2), min(len(nodes), round(column) + _GAP // 2 + 1)):
                     node = nodes[i, : counts[i]]
                     reach = within * size[1] / across_size + 0.5 * spacing * _GAP
@@ -271,7 +272,7 @@ def _linked(nodes: Floats, counts: Integers, spacing: float) -> tuple[Array, Int
                     move = centre - nodes[h, q, _CENTRE]
                     if move < -reach * gap:
                         break
-                    # Whatever is unlike only takes from the most.
+                    # Differences only lower the score, so links whose upper bound is too low are skipped.
                     if move > reach * gap or sums[h, q] + most <= best:
                         continue
                     off = (move - slopes[h, q] * gap) / sigma

@@ -34,13 +34,13 @@ _PARALLEL = float(np.cos(np.radians(25.0)))
 
 
 def further_pieces(lab: Lab, parts: Sequence[Strip], paths: Iterable[Path]) -> list[Strip]:
-    """Pieces of a line beside those that are known: courses along which something of its width looks like it.
+    """Further segments of a line: paths in the picture that have its width and its appearance.
 
     Args:
         lab: of ``lab_picture``.
         parts: of the line, one at least.
-        paths: along which it may go on, of ``line_paths.paths``; what is as wide as they are may be a part of it, such
-            as the core of a stripe of light.
+        paths: candidates, of ``line_paths.paths``; a path within the line's width may be a part of it, such as the core
+            of a stripe of light.
     """
     width = float(np.median(parts[0].widths))
     pieces: list[Strip] = []
@@ -94,7 +94,7 @@ def share_on(points: Array, others: Array, width: float) -> float:
 
 
 def broken_at_steps(lab: Lab, strip: Strip) -> list[Strip]:
-    """The pieces of a line that a path has leapt between, the longest first; the line itself where there is no step.
+    """Segments of a line, cut where its path crosses a step, the longest first; the line itself without a step.
 
     Args:
         lab: of ``lab_picture``, of the picture in which it was found.
@@ -111,7 +111,7 @@ def broken_at_steps(lab: Lab, strip: Strip) -> list[Strip]:
             parts.append(continued(lab, straightened(lab, Path(points, np.full(len(points), width), 0.0)), 1.0))
     distinct: list[Strip] = []
     for part in sorted(parts, key=lambda part: -part.length):
-        # What is no step but a sharp corner is followed round from both sides.
+        # A sharp corner is no step: it is followed round from both sides, and the copies are dropped.
         if all(apart(part, other) for other in distinct):
             distinct.append(part)
     return distinct
@@ -125,7 +125,7 @@ def _steps(strip: Strip) -> list[int]:
                      for steps in (range(-_ACROSS, -1), range(2, _ACROSS + 1)))
     u, v = (way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
             for way in (before[-1] - before[0], after[-1] - after[0]))
-    # On an arc the way from the middle of one to the middle of the other runs between both directions.
+    # On an arc the chord between the middles of both halves points between both directions.
     between, way = u + v, np.mean(after, axis=0) - np.mean(before, axis=0)
     aside = np.abs(between[:, 0] * way[:, 1] - between[:, 1] * way[:, 0]) / np.maximum(
         np.linalg.norm(between, axis=1), 1e-9)
@@ -140,7 +140,7 @@ def _steps(strip: Strip) -> list[int]:
 
 
 def smooth_pieces(strip: Strip) -> list[Strip]:
-    """A line cut at its corners, in order; a bend is none, however far it turns."""
+    """Smooth segments of a line that is cut at its corners, in order; a bend is no corner, however far it turns."""
     cuts = _corners(strip.points)
     return [strip.part(first, last + 1) for first, last in pairwise([0, *cuts, len(strip.points) - 1])]
 
@@ -151,7 +151,7 @@ def _corners(points: Array) -> list[int]:
     course = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
     course = np.pad(course, _FAR, "edge")
     k = np.arange(1, len(points) - 1)
-    # Of section k the course before is k + _FAR - 1, the one behind it k + _FAR.
+    # The direction before section k is at index k + _FAR - 1, the one behind it at k + _FAR.
     outer, inner, behind, beyond = (course[k + _FAR + step]
                                     for step in (-_FAR, -_NEAR, _NEAR - 1, _FAR - 1))
     turn, beside = np.abs(behind - inner), np.abs(inner - outer) + np.abs(beyond - behind)
@@ -166,7 +166,7 @@ def _corners(points: Array) -> list[int]:
 
 
 def in_order(pieces: Sequence[Strip]) -> tuple[Strip, ...]:
-    """Pieces of a line as they follow each other, the first one as it runs: each joins the end that is nearest."""
+    """Segments of a line in their order along it: each is joined to the end that is nearest, from the first one on."""
     chain, rest = [pieces[0]], list(pieces[1:])
     while rest:
         begin, end = chain[0].points[0], chain[-1].points[-1]

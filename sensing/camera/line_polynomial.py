@@ -207,7 +207,7 @@ class Polyline:
 
     @property
     def length(self) -> float:
-        """Length [m]."""
+        """Length of the polyline [m]."""
         return float(self.s[-1])
 
     def at(self, s: Array) -> tuple[Array, Array]:

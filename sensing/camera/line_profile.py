@@ -20,12 +20,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 
-MAX_EDGES, MAX_CANDIDATES = 8, 4  # of a window: four lines side by side fill it
+MAX_EDGES, MAX_CANDIDATES = 8, 4  # per window: four lines side by side fill it
 SQRT2, SQRT_2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)  # of the normal distribution
 
 
 class Look(NamedTuple):
-    """How the line looks, and which cross-sections count: ``DetectionSettings`` as compiled functions take it.
+    """Appearance of the line and accepted cross-sections: ``DetectionSettings`` as compiled functions take it.
 
     Attributes:
         line_width, blur, min_contrast, width_tolerance, min_quality, smoothness, noise: see ``DetectionSettings``.
@@ -181,7 +181,7 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
         for r in range(rows):
             c = min(max(j + round(slant * (r - 0.5 * (rows - 1))), 0), columns - 1)
             profile[j] += look.polarity * patch[r, c] / rows
-    # A box of that depth, blurred, is at least this steep at its edges.
+    # A box of the least contrast, blurred, is at least this steep at its edges.
     falling, rising = _edges(profile, 0.15 * look.min_contrast)
     centres = _centres(falling, rising, predicted, width, look.width_tolerance)
     n = 0

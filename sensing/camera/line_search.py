@@ -1,4 +1,4 @@
-"""Where in the image to look for the line: five small windows across its prediction."""
+"""Where the line is searched in the image: small windows across its prediction."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PredictedLine:
 
     @property
     def covariance_or_zero(self) -> Array:
-        """Covariance of the lateral predictions, without a motion of the whole line ``(m, m)`` [m²]."""
+        """Covariance of the lateral predictions, without a common shift of the line ``(m, m)`` [m²]."""
         return np.zeros((len(self.points),) * 2) if self.covariance is None else self.covariance
 
     @classmethod
@@ -79,9 +79,9 @@ class DetectionSettings:
         max_half_width: largest half width of a window [px].
         min_contrast: least depth of the cross-section [gray].
         width_tolerance: largest relative deviation of the width.
-        min_quality: cross-sections below this quality do not count.
-        smoothness: how far the points may leave a straight line of deviations from the prediction [m], beside what
-            the prediction says of the line's shape.
+        min_quality: cross-sections below this quality are rejected.
+        smoothness: how far the points may leave a straight line of deviations from the prediction [m], in addition to
+            the prediction's uncertainty of the shape.
         noise: gray noise that is assumed at least, for the standard deviation of a point.
         min_points: fewer agreeing points are no measurement.
     """
@@ -112,13 +112,13 @@ class DetectionSettings:
 
     @property
     def look(self) -> Look:
-        """What compiled functions need of it."""
+        """The settings as compiled functions take them."""
         return Look(self.line_width, self.blur, 1.0 if self.dark else -1.0, self.min_contrast, self.width_tolerance,
                     self.min_quality, self.smoothness, self.noise)
 
 
 class PredictedImage(NamedTuple):
-    """The prediction in the image.
+    """The predicted line in pixels.
 
     Attributes:
         pixels: of the predicted points ``(m, 2)``; NaN behind the camera.
@@ -164,7 +164,7 @@ def _predict(
         a = 1 if abs(projected[2, 0] - projected[1, 0]) > abs(projected[2, 1] - projected[1, 1]) else 0
         axis[i] = a
         slant[i] = (projected[2, a] - projected[1, a]) / (projected[2, 1 - a] - projected[1, 1 - a])
-        # A pixel e along the scan is the lateral shift d with e - d·across parallel to the line.
+        # A pixel e along the scan corresponds to the lateral shift d for which e - d·across is parallel to the line.
         metres[i] = 1.0 / ((projected[4, a] - projected[3, a]) / (2.0 * step)
                            - slant[i] * ((projected[4, 1 - a] - projected[3, 1 - a]) / (2.0 * step)))
     return pixels, axis, slant, metres
@@ -182,7 +182,7 @@ def predict_image(camera: CameraModel, prediction: PredictedLine) -> PredictedIm
 def search_windows(
     camera: CameraModel, prediction: PredictedLine, settings: DetectionSettings | None = None
 ) -> tuple[Window, ...]:
-    """One window per predicted point, across the line along image rows or columns, whichever cuts it more squarely.
+    """One search window per predicted point, across the line along image rows or columns, whichever is more square.
 
     A window that would lie outside the image is empty (0 × 0), so that windows and points stay aligned.
 

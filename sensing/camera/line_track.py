@@ -1,4 +1,4 @@
-"""A line followed from picture to picture of a film: the picture before says where it is and how it looks.
+"""Tracks a line from picture to picture of a film by its place and its appearance in the picture before.
 
 The line is looked for where it was, moved on as it moved; then in the whole picture, where distance from that place and
 an unlike look count against a candidate. Only when it has been lost for long another line is taken, and that is said.
@@ -40,12 +40,12 @@ that it is a line was decided when it was found."""
 
 @dataclass(frozen=True)
 class Track:
-    """A line in a film so far.
+    """State of a line that is tracked through a film.
 
     Attributes:
         line: in the last picture.
         state: ``found``, ``followed``, ``lost``, ``found again`` or ``another line``.
-        known: as it was seen last, in the reduced picture; None before it was found.
+        known: the line as last seen, in the reduced picture; None before it was found.
         motion: of its points from picture to picture ``(2,)`` [px of the reduced picture].
         missed: pictures since it was seen.
     """
@@ -65,7 +65,7 @@ def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str 
         picture: gray or BGR, all of one size.
         before: of the picture before; None in the first one.
         kind: see ``detect_in_picture``.
-        near: see ``detect_in_picture``; counts until a line is found.
+        near: see ``detect_in_picture``; used until a line is found.
         points: along the line.
     """
     check_asked(picture, kind, points)
@@ -76,7 +76,7 @@ def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str 
     if before is not None and known is not None and missed < PATIENCE:
         place = known.points + before.motion
         again = _there(small, known, place, kind)
-        # The prior alone does not keep the line at a place that is likelier none: anything else may be it then.
+        # The prior alone does not keep the line at a place that is unlikely to show one: another candidate may win.
         if again is None or again[0] < 0.0:
             again = _elsewhere(small, known, place, kind, missed, again)
         if again is None:

@@ -1,7 +1,7 @@
 """A line detector made of OpenCV's functions alone: sheared mean profile, Sobel edges, robust line through deviations.
 
-The counterpart that our own detector is measured against (``python -m studies detectors``), and an example of the
-seam ``LineDetector``.
+The project's own detector is compared with it (``python -m studies detectors``); it is also an example of the interface
+``LineDetector``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class OpenCVProfiles:
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """See ``LineDetector.detect``."""
+        """Line points of a field, in the tool frame; see ``LineDetector.detect``."""
         m = len(prediction.points)
         if len(field.windows) != m or len(field.patches) != m:
             raise InputError("expected one window per predicted point", field="field.windows",
@@ -74,7 +74,7 @@ class OpenCVProfiles:
         normal = np.asarray(prediction.normal)
         for i in np.flatnonzero(np.isfinite(pixels[:, 0])).tolist():
             points[i] = camera.on_plane(pixels[i : i + 1], normal, float(normal @ prediction.points[i]))[0]
-        # Three points agree with some straight line easily by chance: what does not fit to it counts against it.
+        # Three points easily agree with some straight line by chance, so points that do not fit count against it.
         count, against = int(used.sum()), int(np.sum(np.isfinite(deviation) & ~used))
         seen = count - against >= settings.min_points
         reason = "" if seen else (

@@ -1,4 +1,4 @@
-"""The line in a whole picture of which nothing is known: width, colour, course and place are found, not given.
+"""Finds the line in a whole picture without prior knowledge: its width, colour, course and place.
 
 For pictures of a user's own cell, before anything moves (``ideal-robot detect``). Paths through the picture
 (``line_paths``) are straightened and weighed (``line_evidence``); the one that is likeliest the line that is meant is
@@ -56,7 +56,7 @@ _REACH = 0.3
 
 @dataclass(frozen=True)
 class PictureLine:
-    """What was found in one picture.
+    """The line found in one picture, or the reason why none was.
 
     Attributes:
         size: width and height of the picture [px].
@@ -81,7 +81,7 @@ class PictureLine:
 
     @property
     def curve(self) -> Array:
-        """The line of ``strip`` in all its sections ``(k, 2)`` [px]: a polygon through few points cuts its bends."""
+        """Polygon of all sections of the line ``(k, 2)`` [px]; finer than ``points``, which cut its bends."""
         return self.whole[0].points if self.whole else np.empty((0, 2))
 
     @property
@@ -91,7 +91,7 @@ class PictureLine:
 
     @property
     def breaks(self) -> tuple[tuple[Array, Array], ...]:
-        """Where the line breaks: last point of one piece and first of the next ``(2,)`` [px]; one point at a corner."""
+        """Gaps of the line: last point of a segment and first of the next ``(2,)`` [px]; at a corner the same point."""
         return tuple((one.points[-1], other.points[0]) for one, other in pairwise(self.pieces))
 
     @property
@@ -127,7 +127,7 @@ class PictureLine:
 
 def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
                       near: tuple[float, float] | None = None, points: int = 15) -> PictureLine:
-    """Finds the line of a picture, of several the likeliest.
+    """Finds the line of a picture; where there are several, the likeliest.
 
     Args:
         picture: gray ``(height, width)`` or BGR ``(height, width, 3)``.
@@ -145,7 +145,7 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
 
 
 def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> None:
-    """Raises the InputError of ``detect_in_picture`` for what it does not take.
+    """Raises the InputError of ``detect_in_picture`` for a picture, a kind or a number of points that it refuses.
 
     Args:
         picture, kind, points: as of ``detect_in_picture``.
@@ -160,7 +160,7 @@ def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> No
 
 
 class Likeliest(NamedTuple):
-    """The line of a reduced picture, its likeliest piece first, or none and why; its log odds; how many others are."""
+    """The likeliest line in a reduced picture, with its log odds, or the reason why there is none."""
 
     strips: list[Strip]
     evidence: float
@@ -169,7 +169,7 @@ class Likeliest(NamedTuple):
 
 
 def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None) -> Likeliest:
-    """The line of a reduced picture, see ``Likeliest``.
+    """Finds the likeliest line in a reduced picture.
 
     Args:
         picture: of ``reduced``.
@@ -191,7 +191,7 @@ def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None) 
     parts = broken_at_steps(lab, strip)
     if near is not None:
         parts.sort(key=lambda part: float(np.linalg.norm(part.points - near, axis=1).min()))
-    # That a line goes on like itself beyond its end is as likely as that it is where it was.
+    # The prior odds that a line continues beyond its end equal the odds that it is where it was.
     pieces = [piece for piece in further_pieces(lab, parts, ranked)
               if evidence(piece, joint=kind == "seam") + EXPECTED > sure]
     rest = [other for odds, other in _distinct_lines(every) if odds > sure]
@@ -219,14 +219,14 @@ def _passing(lines: Iterable[tuple[float, Strip]], pixel: Array, lab: Lab) -> li
 
 
 def reduced(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
-    """A picture, gray or BGR, no larger than ``LONGEST``, and by what it is smaller."""
+    """A gray or BGR picture reduced to ``LONGEST`` pixels at most, and the factor by which it was reduced."""
     scale = min(1.0, LONGEST / max(picture.shape[:2]))
     small = picture if scale == 1.0 else cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8), scale
 
 
 def measured(picture: NDArray[np.uint8], found: Likeliest, scale: float, points: int) -> PictureLine:
-    """What was found in the reduced picture, measured in the whole one.
+    """The line found in the reduced picture, measured at full resolution.
 
     Args:
         picture: the whole one.
@@ -242,8 +242,8 @@ def measured(picture: NDArray[np.uint8], found: Likeliest, scale: float, points:
 
 def _finer(lab: Lab, strip: Strip, scale: float, points: int) -> Strip:
     """A line of the reduced picture in the whole one, at least at so many points."""
-    # As many sections to the pixel as before, from a path that is smoothed over pixels, not over sections: a bend of a
-    # cable would be cut by more than its edges are looked for.
+    # As many sections per pixel as before, from a path that is smoothed over pixels, not over sections: otherwise a
+    # cable's bend would be cut off by more than the range in which edges are searched.
     finer = max(round(len(strip.points) / scale), points)
     even, own = np.linspace(0.0, 1.0, 4 * finer), np.linspace(0.0, 1.0, len(strip.points))
     path = Path((interpolated(even, own, strip.points) + 0.5) / scale - 0.5, np.interp(even, own, strip.widths) / scale,
@@ -253,7 +253,7 @@ def _finer(lab: Lab, strip: Strip, scale: float, points: int) -> Strip:
 
 def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Array | None = None
                ) -> list[tuple[float, Strip]]:
-    """Candidates for lines with their log odds, each place of the picture once, the likeliest first.
+    """Candidates for lines with their log odds, the likeliest first, without duplicates of the same place.
 
     Args:
         picture: gray or BGR, no larger than ``LONGEST``.
@@ -273,7 +273,7 @@ def _distinct_lines(lines: Iterable[tuple[float, Strip]]) -> list[tuple[float, S
 
 
 def candidates(picture: NDArray[np.uint8], kind: str | None = None) -> list[Strip]:
-    """What may be a line, straightened, the likeliest first; one place may come several times.
+    """Candidates for lines, straightened, the likeliest first; the same place may occur several times.
 
     Args:
         picture, kind: see ``find_lines``.

@@ -1,4 +1,4 @@
-"""Where a camera is, on the tool or beside the cell, from pictures of a checkerboard or AprilTags in any poses.
+"""Estimates a camera's pose, on the tool or in the cell, from pictures of a checkerboard or AprilTags.
 
 Eye in hand: the camera is on the tool, the target stands in the cell. Eye to hand: the camera stands in the cell, the
 target is on the tool. Both are one equation. With A_i the known pose of the *mover* (the tool in the base frame for the
@@ -57,7 +57,7 @@ _OUTLIER = 1e-4
 
 @dataclass(frozen=True)
 class TargetView:
-    """A target in one picture, and where the robot says that the tool was.
+    """A target in one picture, and the tool pose that the robot measured.
 
     Attributes:
         pose: of the tool in the base frame.
@@ -80,8 +80,8 @@ class CameraPose:
         target: pose of the target in the base frame (camera on the tool) or in the tool frame (camera in the cell).
         covariance: of the camera's pose ``(6, 6)``: translation [m], then rotation [rad], in the camera's own frame.
         target_covariance: of the target's pose in its own frame, in the same order ``(6, 6)``.
-        sigma_pixel: standard deviation of a pixel found [px].
-        sigma_pose: of the arm's poses, found [m, rad] ``(2,)``.
+        sigma_pixel: estimated standard deviation of a pixel [px].
+        sigma_pose: estimated standard deviations of the arm's poses [m, rad] ``(2,)``.
         residual: root mean square of the pixels' residuals [px].
         used: pictures that took part ``(n,)``; false where no such error explains one.
     """
@@ -98,7 +98,7 @@ class CameraPose:
 
 
 def locate_camera(views: Sequence[TargetView], camera: CameraModel, mounted: str = "tool") -> CameraPose:
-    """Finds where the camera is, with covariance, from pictures of one target that was never moved by hand.
+    """Estimates the camera's pose, with covariance, from pictures of one target that stayed where it is fixed.
 
     Args:
         views: at least ``LEAST_POSES``, with turns about at least two axes.
@@ -121,7 +121,8 @@ def locate_camera(views: Sequence[TargetView], camera: CameraModel, mounted: str
     problem, fit = _solved(views, movers, camera, used, X, Y)
     while used.sum() > LEAST_POSES:
         worst = int(np.flatnonzero(used)[np.argmax(fit.distances)])
-        # Held against what the others say alone: one picture that is wrong makes the variances that would excuse it.
+        # A picture is judged by the others' estimate alone, as a wrong picture enlarges the variances that would excuse
+        # it.
         used[worst] = False
         others = _solved(views, movers, camera, used, fit.camera, fit.target)
         alone = _Problem([views[worst]], [movers[worst]], camera)
@@ -301,7 +302,8 @@ def _variances(rows: Sequence[_Compressed], start: Array) -> Array:
         for row in rows:
             A, b, value = row.weighted(np.exp(logs))
             N, g, total = N + A, g + b, total + value
-        # At the best step the quadratic is less by half gᵀ N⁻¹ g; what the twelve take is the determinant.
+        # The quadratic's minimum is lower by half gᵀ N⁻¹ g; the determinant accounts for the twelve estimated
+        # parameters.
         return total - 0.5 * float(g @ np.linalg.solve(N, g)) + 0.5 * float(np.linalg.slogdet(N)[1])
 
     bounds = [(np.log(1e-6), np.log(1e2)), (np.log(1e-14), np.log(1e-2)), (np.log(1e-14), np.log(1e-1))]

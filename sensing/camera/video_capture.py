@@ -22,7 +22,7 @@ _LARGEST = 4096
 class VideoCapture:
     """A ``FrameSource`` over ``cv2.VideoCapture``.
 
-    Most drivers tell when a picture was taken (``CAP_PROP_POS_MSEC``): V4L2 by the kernel's clock, RTSP by the
+    Most drivers report when a picture was taken (``CAP_PROP_POS_MSEC``): V4L2 by the kernel's clock, RTSP by the
     sender's, a file by its beginning. Where those stamps do not rise, or there are none, the arrival is the stamp.
     Raises ``InputError`` where it cannot be opened.
 
@@ -34,10 +34,10 @@ class VideoCapture:
 
     def __init__(self, source: int | str, least_delay: float = 0.0, *, pace: bool = False) -> None:
         self._source, self._pace = source, pace
-        # What OpenCV and FFmpeg say of a broken film would stand beside our one line.
+        # Messages of OpenCV and FFmpeg about a broken film are suppressed; this program writes one line itself.
         with kept_words():
             self._capture = cv2.VideoCapture(source)
-        # Old pictures are of no use; not every driver obeys.
+        # A short buffer, so that pictures are not old; not every driver obeys.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         if not self._capture.isOpened():
             raise InputError("OpenCV cannot open this camera, file or address", field="camera", value=source)
@@ -52,14 +52,14 @@ class VideoCapture:
         self._number, self._last, self._begun = 0, -math.inf, math.nan
 
     def read(self, timeout: float) -> Frame | None:
-        """See ``FrameSource.read``; how long it waits is the driver's matter, ``timeout`` is not known to it."""
+        """The next picture, see ``FrameSource.read``; the driver decides how long it waits, not ``timeout``."""
         success, image = self._capture.read()
         arrived = time.perf_counter()
         if not success or image is None:
             raise SensingError(f"no picture comes from camera {self._source} any more")
         stamp = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         if self.stamps != "arrival" and not (math.isfinite(stamp) and stamp > self._last):
-            # From now on: two kinds of stamps must not be mixed.
+            # Arrival times are used from now on: two kinds of stamps must not be mixed.
             self.stamps, self.clock = "arrival", ClockRelation(self.clock.least_delay)
         if self.stamps == "arrival":
             stamp = arrived
@@ -77,17 +77,17 @@ class VideoCapture:
         return Frame(self._number, stamp, arrived, gray)
 
     def close(self) -> None:
-        """See ``FrameSource.close``."""
+        """Closes the camera and releases the device; see ``FrameSource.close``."""
         self._capture.release()
 
 
 def camera_number(text: str) -> int | None:
-    """The number of a camera of this computer; None where it is none that OpenCV takes."""
+    """The number of a camera that OpenCV can open; None where the text is none."""
     return int(text) if text.isdecimal() and len(text) < 10 else None
 
 
 def opened_usb(rest: str, least_delay: float) -> VideoCapture:
-    """The camera of an address like ``usb:0``; raises InputError for no number, or one that cannot be opened."""
+    """Opens the camera of an address like ``usb:0``; raises InputError where it is no number or cannot be opened."""
     number = camera_number(rest)
     if number is None:
         raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)
@@ -95,17 +95,17 @@ def opened_usb(rest: str, least_delay: float) -> VideoCapture:
 
 
 def opened_file(rest: str, least_delay: float) -> VideoCapture:
-    """``file:film.mp4``, at its own pace; raises InputError where there is no such film."""
+    """Opens the film of ``file:film.mp4`` at its own rate; raises InputError where there is no such film."""
     if not Path(rest).is_file():
         raise InputError("no such film", field="camera", value=rest)
     return VideoCapture(rest, least_delay, pace=True)
 
 
 def opened_rtsp(rest: str, least_delay: float) -> VideoCapture:
-    """``rtsp://…``; raises InputError where it cannot be opened."""
+    """Opens the camera of ``rtsp://…``; raises InputError where it cannot be opened."""
     return VideoCapture(f"rtsp:{rest}", least_delay)
 
 
 def opened_http(rest: str, least_delay: float) -> VideoCapture:
-    """``http://…``, MJPEG; raises InputError where it cannot be opened."""
+    """Opens the MJPEG camera of ``http://…``; raises InputError where it cannot be opened."""
     return VideoCapture(f"http:{rest}", least_delay)

@@ -1,4 +1,4 @@
-"""Calibration of a force sensor: bias and weight of the tool, and the compliance that turns forces into positions.
+"""Calibration of a force sensor: its bias, the tool's weight, and the compliance between tool and surface.
 
 Both are found by moving the arm, as [L] 4.4 says: "calibration can simply be reached by moving the sensor and comparing
 the sensor values with the simultaneously measured actual positions of the TCP".
@@ -18,13 +18,13 @@ from sensing import SensingError
 
 @dataclass(frozen=True)
 class ToolLoad:
-    """What a sensor shows of an untouched tool.
+    """Bias of a force sensor with the mass and the centre of mass of the tool on it.
 
     Attributes:
         bias: constant part of the wrench ``(6,)`` [N, N m].
         mass: of the tool [kg].
         com: its centre in the tool frame ``(3,)`` [m].
-        residual: standard deviation of what is left, force [N] and moment [N m] ``(2,)``.
+        residual: standard deviation of the residual, force [N] and moment [N m] ``(2,)``.
     """
 
     bias: Array
@@ -33,7 +33,7 @@ class ToolLoad:
     residual: Array
 
     def contact(self, wrench: Array, rotation: Array) -> Array:
-        """What the environment does to the tool ``(6,)``: of the sensed ``wrench (6,)`` weight and bias are taken away.
+        """External wrench on the tool ``(6,)``: ``wrench (6,)`` without the tool's weight and the sensor's bias.
 
         ``rotation (3, 3)`` is the tool frame's in the base frame.
         """
@@ -81,10 +81,10 @@ CLEARLY = 5.0
 
 
 def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma: Array) -> None:
-    """Refuses readings that do not turn with the postures as the weight of a tool has to: f = b + Rᵀ g m, m > 0.
+    """Raises SensingError unless readings vary with the posture as a tool's weight does: f = b + Rᵀ g m, m > 0.
 
-    A sensor that is alive and feels nothing has noise as every other; that a weight turns is what it cannot imitate.
-    Raises ``SensingError`` for no weight, or one that turns otherwise, and says what it looks like.
+    A sensor without a load still has noise; only a real sensor shows a weight that turns with the posture. The message
+    says what the readings look like instead.
 
     Args:
         wrenches: means at rest ``(N, 6)``.
@@ -147,7 +147,7 @@ TOUCHING = 2.0
 
 @dataclass(frozen=True)
 class ContactElasticity:
-    """The elasticity E of [L] (3), force per displacement, and its standard deviation [N/m].
+    """The elasticity E of [L] (3), contact force per displacement, and its standard deviation [N/m].
 
     The force begins at ``touch`` [m] along the direction of motion.
     """

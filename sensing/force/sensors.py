@@ -1,4 +1,4 @@
-"""Force/torque samples, the seam of the sensors that give them, and deviations from them ([L] (3))."""
+"""Force/torque samples, the interface of force sensors, and the deviations that follow from forces ([L] (3))."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
                     elasticity_error: float = 0.05, normal: Array | None = None) -> ForceDeviation:
     """Δx_a = (F_r − F) / E, [L] (3), along ``direction``.
 
-    A force that is too small asks to go deeper, against the direction, which points out of the surface.
+    The direction points out of the surface; a force that is too small gives a deviation against it, into the surface.
     Raises ``InputError`` for an elasticity that is not positive.
 
     Args:
@@ -74,8 +74,7 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
         elasticity: E [N/m].
         sigma: standard deviation of the force [N].
         elasticity_error: relative error of E that the standard deviation allows for.
-        normal: of the surface, if it is known better than ``direction``; the force counts along it, and friction does
-            not.
+        normal: of the surface, if it is known better than ``direction``; the force along it is used, without friction.
     """
     if not elasticity > 0:
         raise InputError("expected a positive elasticity [N/m]", field="elasticity", value=elasticity)
@@ -85,7 +84,7 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
     return ForceDeviation(deviation, float(np.hypot(sigma / elasticity, elasticity_error * deviation)), pressed)
 
 
-# Force sensors by address, as one gives it on the command line.
+# Opens force sensors by their addresses, as the command line takes them.
 
 @dataclass(frozen=True)
 class Reading:
@@ -97,7 +96,7 @@ class Reading:
 
 @dataclass
 class ReadingCounts:
-    """What became of what the sensor sent.
+    """Numbers of readings from a sensor that were used, invalid or missing.
 
     Attributes:
         readings: that were handed on.
@@ -105,7 +104,7 @@ class ReadingCounts:
         outdated: readings that came again, or behind a newer one.
         refused: packets that are none of the sensor's, or readings with numbers that are not finite.
         invalid: readings that the sensor itself says are wrong.
-        last_invalid: what it said.
+        last_invalid: the error that it reported.
     """
 
     readings: int = 0
@@ -132,7 +131,7 @@ class WrenchSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Gives the sensor back."""
+        """Closes the sensor and releases the device."""
         ...
 
 
@@ -146,7 +145,7 @@ class WrenchSource(Protocol):
 PORT = 49152
 """UDP port of a NetFT box."""
 _REQUEST, _RECORD = struct.Struct(">HHI"), struct.Struct(">IIIiiiiii")
-_HEADER, _STREAM, _STOP = 0x1234, 2, 0  # of a request, and its commands
+_HEADER, _STREAM, _STOP = 0x1234, 2, 0  # header of a request, and its commands
 _MOST = 40
 """Records of a packet."""
 _ERROR = 1 << 31
@@ -190,14 +189,14 @@ class _Pace:
 
 
 class NetFT:
-    """A ``WrenchSource`` over raw data transfer. Only packets of the sensor's own address count.
+    """A ``WrenchSource`` over ATI's raw data transfer (UDP); packets of other addresses are ignored.
 
     Raises ``InputError`` where there is no such address.
 
     Args:
         host, port: address of the sensor, and UDP port.
-        rate: samples a second of the sensor, which make its clock [Hz]; 0 where it is to be found from how its counter
-            rises with this computer's clock. No reading is handed on before it is known.
+        rate: sample rate of the sensor, by which its counter is a clock [Hz]; 0 estimates it from the counter and this
+            computer's clock. No reading is returned before it is known.
         counts_force, counts_torque: counts per newton, and per newton metre.
         least_delay: from the measurement to the packet's arrival, at least, the sensor's filter included [s].
     """
@@ -224,7 +223,7 @@ class NetFT:
         self._ask(_STREAM)
 
     def read(self, timeout: float) -> list[Reading]:
-        """See ``WrenchSource.read``."""
+        """The readings of the next packet, none if none comes within ``timeout`` [s]; see ``WrenchSource.read``."""
         now = time.perf_counter()
         if now - max(self._asked, self._heard) > _AGAIN:
             self._ask(_STREAM)
@@ -232,7 +231,7 @@ class NetFT:
         try:
             packet = self._socket.recv(_MOST * _RECORD.size + 1)
         except OSError:
-            # Silence, or a sensor that is not there yet: it is asked again.
+            # The sensor is silent or not there yet, so the request is repeated.
             return []
         arrived = time.perf_counter()
         if not packet or len(packet) % _RECORD.size or len(packet) > _MOST * _RECORD.size:
@@ -243,7 +242,7 @@ class NetFT:
         return [reading for reading in readings if reading is not None]
 
     def find_rate(self, patience: float) -> None:
-        """Reads until the rate is known, ``patience`` [s] at most: a sensor that is silent may come later."""
+        """Reads until the sensor's sample rate is known, for at most ``patience`` [s]."""
         deadline = Deadline.within(patience)
         while not self.rate and not deadline.passed:
             self.read(min(deadline.left, 0.1))
@@ -274,7 +273,7 @@ class NetFT:
         if self._number is None:
             self._begun, self._sample = sample, 0
         self._number = number
-        # Unwrapped: the counter of samples begins anew after 2³².
+        # The counter of samples is unwrapped: it restarts at 0 after 2³².
         ahead = (sample - self._begun - self._sample + 2**31) % 2**32 - 2**31
         self._sample += ahead
         if not self.rate:
@@ -296,7 +295,7 @@ _WRENCH = struct.Struct(">I6d")
 
 
 class StreamForce:
-    """A ``WrenchSource`` over a stream; stamps are of the sender's clock, which is asked for.
+    """A ``WrenchSource`` over a TCP stream; stamps are of the sender's clock, which is requested over it.
 
     Raises ``InputError`` where no one listens there.
 
@@ -312,7 +311,7 @@ class StreamForce:
         self._broken = 0
 
     def read(self, timeout: float) -> list[Reading]:
-        """See ``WrenchSource.read``."""
+        """The readings of the next packet, none if none comes within ``timeout`` [s]; see ``WrenchSource.read``."""
         package = self._connection.next(timeout)
         if package is None:
             return []
