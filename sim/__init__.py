@@ -1,4 +1,4 @@
-"""What stands in for the world: arm, gears, friction, industrial controller, camera and force sensor."""
+"""The simulated world: arm, gears, friction, industrial controller, camera and force sensor."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from ideal_robot.errors import IdealRobotError
 # What can go wrong in the simulated world while it runs.
 
 class SimError(IdealRobotError):
-    """The simulated world cannot go on, or was asked for something it does not have."""
+    """The simulation cannot continue, or something was requested that it does not have."""

@@ -1,4 +1,4 @@
-"""PyBullet, imported and used without the banners and warnings that it writes past Python's streams."""
+"""Imports and uses PyBullet without the banners and warnings that it writes past Python's streams."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated arm with the sensors that it carries, each behind its device's seam."""
+"""A simulated arm with the sensors that it carries, each behind the interface of its device."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import ArmShape
 from sim.contact.contact import ForceSensor, TipContact
 
-# What is under way from a device to the controller.
+# Data on their way from a device to the controller.
 
 class Late(Protocol):
-    """Something that is available some time after it was measured."""
+    """Data that are available some time after they were measured."""
 
     @property
     def t_arrival(self) -> float:
-        """Controller time at which it is available [s]."""
+        """Controller time at which the data are available [s]."""
         ...
 
 
@@ -34,17 +34,17 @@ T = TypeVar("T", bound=Late)
 
 
 class Arrivals(Generic[T]):
-    """Holds what was sent until it arrives."""
+    """Keeps data until they arrive."""
 
     def __init__(self) -> None:
         self._under_way: list[T] = []
 
     def send(self, items: Iterable[T]) -> None:
-        """Puts items on their way."""
+        """Adds items that are on their way."""
         self._under_way.extend(items)
 
     def arrived(self, t: float) -> list[T]:
-        """What has arrived by ``t`` [s], in order of arrival, each once."""
+        """The items that have arrived by ``t`` [s], in order of arrival, each once."""
         here = sorted((item for item in self._under_way if item.t_arrival <= t), key=lambda item: item.t_arrival)
         self._under_way = [item for item in self._under_way if item.t_arrival > t]
         return here
@@ -55,7 +55,7 @@ AGAIN = 0.006
 
 
 def shadow_of(shape: ArmShape | None, arm: SimulatedArm, t: float) -> tuple[Array, ...]:
-    """What of the arm may stand in a lamp's way at a time: ends and radii of its capsules, as the camera takes them.
+    """Parts of the arm that may cast a shadow at a time: ends and radii of its capsules, as the camera takes them.
 
     Args:
         shape: of the arm; None where no lamp is.
@@ -69,15 +69,15 @@ class Carried(Protocol):
     """A simulated sensor on the arm: it measures while the arm moves."""
 
     def carry(self, t0: float, t1: float) -> None:
-        """The arm has moved from ``t0`` to ``t1`` [s]."""
+        """Notifies the sensor that the arm has moved from ``t0`` to ``t1`` [s]."""
         ...
 
 
 @dataclass(frozen=True)
 class Knock:
-    """Somebody knocks the camera at ``t`` [s].
+    """A disturbance of the camera's mounting at ``t`` [s].
 
-    It is turned by ``yaw`` [rad] about the tool's approach axis through its own centre.
+    The camera is turned by ``yaw`` [rad] about the tool's approach axis through its own centre.
     """
 
     t: float
@@ -85,7 +85,7 @@ class Knock:
 
     @classmethod
     def of(cls, table: Any) -> Knock | None:
-        """The disturbance that the camera's table of a scene file asks for; None for none."""
+        """The disturbance in the camera's table of a scene file; None for none."""
         return cls(table.knock_s, math.radians(table.knock_deg)) if table.knock_deg else None
 
 
@@ -93,8 +93,8 @@ class CarriedCamera:
     """The simulated camera on the arm, as a ``sensing.camera.camera_device.Camera``.
 
     Args:
-        camera, arm: renders what it sees, and carries it.
-        knock: what happens to its mounting on the way; None for nothing.
+        camera, arm: the renderer, and the arm that carries it.
+        knock: disturbance of its mounting; None for none.
     """
 
     def __init__(self, camera: RenderedCamera, arm: SimulatedArm, knock: Knock | None = None) -> None:
@@ -105,17 +105,17 @@ class CarriedCamera:
         camera.restart()
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
-        """See ``Camera.request``."""
-        # Nobody knows the true instant of an exposure; the camera's own clock says when it will be.
+        """Asks for the fields of a cycle before it begins; see ``Camera.request``."""
+        # The true instant of an exposure is unknown; windows are requested for the camera's own time stamp.
         requests = ((t, windows(self._camera.stamp(t))) for t in self._camera.due(t0, t1))
         self._wanted += [(t, wanted) for t, wanted in requests if wanted is not None]
 
     def arrived(self, t: float) -> list[Field]:
-        """See ``Camera.arrived``."""
+        """The fields that have arrived by the controller time ``t`` [s]; see ``Camera.arrived``."""
         return self._late.arrived(t)
 
     def carry(self, t0: float, t1: float) -> None:
-        """Exposes what was asked for."""
+        """Exposes the requested fields while the arm moves from ``t0`` to ``t1`` [s]."""
         for t, windows in self._wanted:
             field = self._camera.windows(t, self._tool_at, windows, *self._beside(t))
             again = replace(field, t_arrival=field.t_arrival + AGAIN)
@@ -123,7 +123,7 @@ class CarriedCamera:
         self._wanted = []
 
     def whole(self, seen: Field) -> Gray:
-        """The whole picture ``(height, width)`` of a field, in which its windows stand as they were read out."""
+        """The whole picture ``(height, width)`` of a field, with its windows pasted in as they were read out."""
         return self._camera.whole(seen, self._tool_at, *self._beside(self._camera.exposed(seen.t_stamp)))
 
     def _beside(self, t: float) -> tuple[tuple[Array, ...], Array | None]:
@@ -143,7 +143,7 @@ class CarriedForceSensor:
     """The simulated force sensor on the arm, as a ``sensing.force.sensors.ForceSensor``.
 
     Args:
-        sensor, arm: the truth of the sensor, and what carries it.
+        sensor, arm: the simulated sensor, and the arm that carries it.
         contact: of the tool's tip.
 
     Attributes:
@@ -156,11 +156,11 @@ class CarriedForceSensor:
         self.samples = RowLog(7)
 
     def arrived(self, t: float) -> list[WrenchSample]:
-        """See ``ForceSensor.arrived``."""
+        """The samples that have arrived by the controller time ``t`` [s]; see ``ForceSensor.arrived``."""
         return self._late.arrived(t)
 
     def carry(self, t0: float, t1: float) -> None:
-        """Measures between ``t0`` and ``t1`` [s]."""
+        """Measures samples while the arm moves from ``t0`` to ``t1`` [s]."""
         measured = self._sensor.due(t0, t1, self._arm.tcp_at, self._contact.force_at)
         for reading in measured:
             self.samples.append((reading.t, *reading.wrench))
@@ -168,7 +168,7 @@ class CarriedForceSensor:
 
 
 class EquippedArm:
-    """A ``RobotInterface`` that moves the arm and lets its sensors measure on the way."""
+    """A ``RobotInterface`` that moves the arm and lets its sensors measure meanwhile."""
 
     def __init__(self, arm: SimulatedArm, carried: Sequence[Carried]) -> None:
         self._arm, self._carried = arm, tuple(carried)
@@ -176,7 +176,7 @@ class EquippedArm:
         self._cycles = 0
 
     def cycle(self, q_c: Array) -> RobotState:
-        """See ``RobotInterface.cycle``."""
+        """Sends a command ``(n,)`` [rad] and waits one interpolation cycle; see ``RobotInterface.cycle``."""
         state = self._arm.cycle(q_c)
         t0 = self._cycles * self.t_ipo
         for device in self._carried:

@@ -29,7 +29,7 @@ from sim.arm.structure import Structure, moved
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 
-# What the simulated arm refuses: postures and gears that cannot be.
+# Errors that the simulated arm raises: for impossible postures and gears.
 
 STRAYED = 0.3
 """How far beyond its limits a joint has diverged [rad or m]: no command leads there, and no drive errs by that much."""
@@ -68,7 +68,7 @@ def _require_integrable(model: pin.Model, q: Array, p: Array) -> None:
 
 @dataclass(frozen=True)
 class TrueState:
-    """The true state, which no controller measures, at ``t`` [s].
+    """The true state of the arm at ``t`` [s], which no controller measures.
 
     Arm angles, motor angles on the joint side ``(n,)`` [rad], and pose of the tool frame in the base frame.
     """
@@ -82,16 +82,16 @@ class TrueState:
 class SimulatedArm:
     """A ``RobotInterface`` to an arm in a ``World``.
 
-    With elastic gears PyBullet's links are driven by the gear torques, with rigid gears by what the motors leave them
-    after accelerating their rotors (``JointTorques``).
+    With elastic gears PyBullet's links are driven by the gear torques, with rigid gears by the motor torques less those
+    that accelerate the rotors (``JointTorques``).
 
     Args:
         robot: the robot as its maker describes it.
         world: the true world.
         rng: source of the measurement noise.
         q0: motor angles at the start ``(n,)`` [rad]; the robot's home posture if None.
-        tool_radius: radius of a ball about the TCP that collides with other bodies of the physics client [m]; None:
-            the arm touches nothing but what ``step_hook`` applies.
+        tool_radius: radius of a ball about the TCP that collides with other bodies of the physics client [m]; None: the
+            arm has no contacts but the forces that ``step_hook`` applies.
 
     Raises:
         InputError: ``q0`` of wrong size or outside the limits, a world the step cannot integrate.
@@ -188,7 +188,7 @@ class SimulatedArm:
             self._schedule.follow(self._p, x[kernel.X_ENCODER])
         try:
             self._run(noise)
-        except (ZeroDivisionError, OverflowError) as error:  # numbers without end, before the posture shows it
+        except (ZeroDivisionError, OverflowError) as error:  # values diverge before the posture shows it
             raise self._unstable() from error
         return self._state(noise[-1])
 
@@ -197,7 +197,8 @@ class SimulatedArm:
         client, body, joints = self.client, self.body, self._joints
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
         q_a, qd_a, torque = self.q_a, self._qd_a, links[kernel.L_TORQUE]
-        angles, speeds = memoryview(q_a), memoryview(qd_a)  # written number by number in a third of the time
+        # Element by element through a memoryview takes a third of the time.
+        angles, speeds = memoryview(q_a), memoryview(qd_a)
         every, torques, history = int(counts[kernel.N_LOG]), self._torques, self._history
         extra_torque, hook = self._extra_torque, self.step_hook
         touched = hook is not None or self._touchable
@@ -264,7 +265,7 @@ class SimulatedArm:
 
     @property
     def truth(self) -> TrueState:
-        """The true arm now."""
+        """The true state of the arm now."""
         q_m = np.where(self._elastic, self._x[kernel.X_MOTOR], self.q_a)
         return TrueState(self.t, self.q_a.copy(), q_m, self.tcp)
 
@@ -275,7 +276,7 @@ class SimulatedArm:
         return pose if self._structure is None else moved(pose, self._structure.off)
 
     def touch(self, force: Array) -> None:
-        """Tells what bends between base and tool of a force on the tool ``(3,)`` [N, base frame]."""
+        """Sets the force on the tool ``(3,)`` [N, base frame] that deflects the structure between base and tool."""
         if self._structure is not None:
             self._structure.touch = np.array(force)
 
@@ -301,7 +302,7 @@ class SimulatedArm:
         return self._history.pose(t, self.t, self.q_a, self._qd_a)
 
     def history(self) -> dict[str, Array]:
-        """The true arm every 2 ms or finer.
+        """The true quantities of the arm, every 2 ms or finer.
 
         Keys: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as ``recording`` has it), ``q`` (encoder), ``tau``
         (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``, ``temperature``.
@@ -309,7 +310,7 @@ class SimulatedArm:
         return self._history.columns()
 
     def tcp_path(self) -> tuple[Array, Array]:
-        """Times ``(N,)`` [s] of the history, and where the TCP truly was then ``(N, 3)`` [m]."""
+        """Times ``(N,)`` [s] of the history and true positions of the TCP ``(N, 3)`` [m]."""
         t, place = new_array(self._history.rows), new_array(self._history.rows, 3)
         for first, logged in self._history.parts():
             t[first : first + len(logged["t"])] = logged["t"]
@@ -319,17 +320,17 @@ class SimulatedArm:
         return t, place
 
     def recording(self, external: bool = False) -> Recording:
-        """What a controller would have logged, every ``world.log_cycle``.
+        """The recording that a controller would have logged, every ``world.log_cycle``.
 
         Columns: ``t``, ``q_c_i``, ``q_i``, ``tau_i``, ``current_i``, ``temp_i``. ``q_c_i`` is the command after the
-        planner's delay and the interpolation, before all that the controller makes of it (``command_late``,
-        ``command_smoothing``, the low-pass).
-        ``external`` adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
+        planner's delay and the interpolation, before the controller's own processing (``command_late``,
+        ``command_smoothing``, the low-pass). ``external`` adds ``qa_i`` and ``x y z qx qy qz qw`` from an external
+        measuring device with the world's noise.
         """
         return recording_of(self.robot, self.world, self._history, self.tcp_with if external else None)
 
     def close(self) -> None:
-        """Ends the physics client; history and recording stay."""
+        """Ends the physics client; history and recording are kept."""
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1

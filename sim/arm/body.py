@@ -33,11 +33,11 @@ def start_physics() -> int:
 
 
 def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> int:
-    """Loads the links of a serial arm without whatever PyBullet adds of its own; PyBullet's id of the body.
+    """Loads the links of a serial arm without PyBullet's default damping and limits; returns the body's id.
 
-    Joints keep their order, those that follow others move freely (``JointTorques`` leads them); link ``i`` of the body
-    is the one that joint ``i`` (from 0) moves, in the joint's frame. Joint limits are left to the controller: a limit
-    constraint would be an effect of its own.
+    Joints keep their order, those coupled to others move freely (``JointTorques`` leads them); link ``i`` of the body
+    is the one that joint ``i`` (from 0) moves, in the joint's frame. Joint limits are checked by the controller: a
+    constraint in PyBullet would be a further effect.
 
     Args:
         model: Pinocchio model with the true inertias.
@@ -101,17 +101,17 @@ def _text(values: Array) -> str:
 # Rotors that turn rigidly with their links, and joints that follow others: PyBullet has no term for either.
 
 class JointTorques:
-    """The torques of PyBullet's joints that move links and rotors as drives with rigid gears and rods would.
+    """Torques of PyBullet's joints that move links and rotors as drives with rigid gears and couplings would.
 
-    The reflected rotor inertia J belongs on the diagonal of the mass matrix and nowhere else: added to the inertia of
-    a link it would also load the joints before it. And what follows another joint is led by it, whatever it weighs. So
-    the links get what their motion asks for, with
+    The reflected rotor inertia J belongs on the diagonal of the mass matrix and nowhere else: added to the inertia of a
+    link it would also load the joints before it. And a coupled joint follows its leader, whatever its mass. So the
+    links get the torques that their motion requires, with
 
         (M + J) q̈ = τ + Gᵀ τ_touch - h(q, q̇)        τ' = rnea'(G q + b, G q̇, G q̈) - τ_touch
 
-    from Pinocchio's model of the same links; behind no follower (G = 1) that is τ - J q̈. What touches the arm is not
-    known before the step; τ_touch is what the step before had too much. Free motion is exact, contact is felt by the
-    rotors half a millisecond late.
+    from Pinocchio's model of the same links; without coupled joints (G = 1) that is τ - J q̈. Contacts are not known
+    before the step; τ_touch is the excess torque of the step before. Free motion is exact, contacts act on the rotors
+    half a millisecond late.
 
     Args:
         links: the true links.
@@ -134,7 +134,7 @@ class JointTorques:
 
     @staticmethod
     def of(links: pin.Model, inertia: Array) -> JointTorques | None:
-        """Those of an arm; None where PyBullet's joints get the drives' torques as they are.
+        """The torques' computation for an arm; None where PyBullet's joints get the drive torques unchanged.
 
         Args:
             links, inertia: as of the class.
@@ -150,7 +150,7 @@ class JointTorques:
         return self._motions.rates(qd)
 
     def of_drives(self, q: Array, qd: Array, torque: Array) -> Array:
-        """Torques of PyBullet's joints ``(b,)`` [N m].
+        """Torques of PyBullet's joints ``(b,)`` [N m] for the drives' torques at ``q, qd``.
 
         Args:
             q: arm angles ``(n,)`` [rad].
@@ -165,7 +165,7 @@ class JointTorques:
         return self._asked(q, self.rates(qd), self.rates(np.linalg.solve(mass, asked))) - self._touch
 
     def feel(self, q: Array, qd: Array, after: Array, torque: Array) -> None:
-        """Learns what touched the links in a step from ``q, qd`` to joint velocities ``after (b,)``.
+        """Estimates the contact torques of a step that led from ``q, qd`` to joint velocities ``after (b,)``.
 
         Args:
             q: arm angles before the step ``(n,)`` [rad].
@@ -190,7 +190,7 @@ _SIDES = 8
 
 
 class View(NamedTuple):
-    """The view that an arm is shown from.
+    """Camera position and size of a picture of an arm.
 
     Attributes:
         width, height: of the picture [px].
@@ -236,8 +236,8 @@ class Stage:
         if surface is not None:
             _lay(np.asarray(surface, dtype=float), client)
         low, high = _extent(self._body, len(self._order), client)
-        # As large as the shadow map covers: on an endless plane its border would show as a false shadow. A renderer
-        # works through every triangle, also of sides that nobody sees.
+        # The floor is as large as the shadow map: on an endless plane the map's border would show as a false shadow.
+        # The renderer processes every triangle, also of hidden sides.
         size = float(np.linalg.norm(high - low))
         x, y = 0.15 * size + 0.65 * size * np.array([-1, 1, 1, -1]), 0.65 * size * np.array([-1, -1, 1, 1])
         floor = pybullet.createVisualShape(
@@ -340,7 +340,7 @@ def _draw(line: Array, client: int) -> None:
     start, rod, length = (rows[length[:, 0] > 1.0e-9] for rows in (start, rod, length))
     if not len(rod):
         return
-    # Any direction across the piece: from the axis that it is least along.
+    # Any direction across the rod: starts from the coordinate axis that is most perpendicular to it.
     across = np.cross(rod, np.eye(3)[np.argmin(np.abs(rod), axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     over = np.cross(rod / length, across)

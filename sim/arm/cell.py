@@ -1,6 +1,6 @@
-"""What an arm in a cell has beyond the default world, in proportion to what it is: sizes, and where each is from.
+"""Effects of an arm in a production cell beyond the default world, with sizes in proportion to the arm.
 
-All is of the class of sound machines; a worn one has more. Sizes without a source are assumed.
+The sizes are those of machines in good order; a worn one has larger ones. Sizes without a source are assumed.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def in_a_cell(robot: Robot, world: dict[str, Array], t_velocity: float) -> dict[
         "friction_compensation": np.full(n, COMPENSATED),
         "notch_frequency": _resonance(robot, stiffness, robot.rotor_inertia + world["extra_rotor_inertia"], t_velocity),
     }
-    # A slide turns nothing: its errors would be lengths.
+    # A prismatic joint has no angular errors: its errors would be lengths.
     for name in ("transmission_once", "transmission_twice", "transmission_error", "hysteresis", "backlash"):
         sizes[name] = np.where(robot.prismatic, 0.0, sizes[name])
     base = stiffness[0] if np.isfinite(stiffness[0]) else np.inf

@@ -1,4 +1,4 @@
-"""Other joint controllers than the industrial cascade, and what happens to commands before any of them sees them.
+"""Joint controllers other than the industrial cascade, and delay and smoothing of commands before them.
 
     impedance         τ = K_p (K_v (r - q) - q̇) + c(q, q̇) + g(q)             the maker's bodies, no integrator
     pid               τ = K_p (K_v (r - q) + ṙ - q̇ + K_v/T_n ∫ (r - q) dt)    nothing known of the arm
@@ -28,10 +28,10 @@ _HEAVY = 1.1
 
 
 class TorqueController:
-    """A controller of all joints that asks for torques at the cycle of the velocity loop.
+    """A controller of all joints that commands torques at the cycle of the velocity loop.
 
     Args:
-        robot: the data sheet: what its maker knows of the arm.
+        robot: the arm by its data sheet.
         world: says which controller, with its gains.
         p: parameter block ``(PARAMETERS, n)``.
     """
@@ -47,7 +47,7 @@ class TorqueController:
 
     @staticmethod
     def of(robot: Robot, world: World, p: Array) -> TorqueController | None:
-        """The controller of a world; None where it is the cascade, which is compiled.
+        """The controller that a world sets; None for the cascade, which is compiled.
 
         Args:
             robot, world, p: as of the class.
@@ -64,7 +64,7 @@ class TorqueController:
         self._ticks = 0
 
     def ask(self, x: Array) -> None:
-        """Leaves the torques that are asked for in the state block ``x (STATES, n)``."""
+        """Writes the commanded torques into the state block ``x (STATES, n)``."""
         r = x[kernel.X_LOW2]
         if self._ticks % self._every == 0:
             step, before = self._every * self._cycle, self._rate
@@ -89,7 +89,7 @@ class TorqueController:
 
 
 class CommandPath:
-    """What becomes of commands on their way: lateness, and a smoothing that ends in lines from cycle to cycle.
+    """The path of commands before the controller: delay, and smoothing with lines from cycle to cycle.
 
     Args:
         world: says how late they are, and the smoothing with its time.
@@ -111,7 +111,7 @@ class CommandPath:
         self._stages = [q.copy(), q.copy()]
 
     def next(self, q_c: Array) -> Array:
-        """Where the commands are at the end of this cycle ``(n,)`` [rad], given the newest one."""
+        """The commands at the end of this cycle ``(n,)`` [rad] behind delay and smoothing, given the newest one."""
         self._given.append(q_c.copy())
         if self._smoothing == "moving_average":
             return self._mean()

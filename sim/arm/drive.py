@@ -1,4 +1,4 @@
-"""Packs a world's numbers for the compiled step of motors, gears and controller."""
+"""Packs the settings of a world for the compiled step of motors, gears and controller."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PER_JOINT = {
 
 
 def motor_torque_limit(robot: Robot) -> Array:
-    """Joint-side torque limit of the motors ``(n,)``; a very large number where the data sheet is silent."""
+    """Joint-side torque limit of the motors ``(n,)`` [N m]; a very large number where the data sheet has none."""
     return np.where(np.isfinite(robot.tau_max), robot.tau_max, 1.0e12)
 
 
@@ -103,9 +103,9 @@ def _pack_friction(p: Array, world: World, rotor_inertia: Array, limit: Array) -
     p[kernel.P_COULOMB] = scale * world.per_joint("coulomb", n)
     p[kernel.P_SURPLUS] = scale * world.per_joint("stribeck", n)
     p[kernel.P_SIGMA0] = p[kernel.P_COULOMB] / world.per_joint("presliding", n)
-    # Bristles damped to a fifth of critical on the rotor: they neither ring nor dominate the torque.
+    # Bristles are damped to a fifth of critical on the rotor: they neither oscillate nor dominate the torque.
     p[kernel.P_SIGMA1] = 0.4 * np.sqrt(p[kernel.P_SIGMA0] * np.maximum(rotor_inertia, 1.0e-6))
-    # What a drive compensates is what its maker knew: dry friction of the type at the reference temperature.
+    # The drive compensates what its maker knew: dry friction of the type at the reference temperature.
     p[kernel.C_COMPENSATION] = world.per_joint("friction_compensation", n) * world.per_joint("coulomb", n)
     p[kernel.P_VISCOUS] = scale * world.per_joint("viscous", n)
     p[kernel.P_DEGRESSIVE] = scale * world.per_joint("degressive", n)
@@ -168,7 +168,7 @@ def _share(cycle: float, time_constant: float) -> float:
 
 
 def output_of(p: Array, q: Array) -> Array:
-    """Where the gears' outputs stand ``(n,)`` [rad] with motors at ``q (n,)``: turned unevenly, not twisted."""
+    """Angles of the gears' outputs ``(n,)`` [rad] with motors at ``q (n,)``: uneven transmission, no twist."""
     output = q + p[kernel.P_UNEVEN] * np.sin(p[kernel.P_UNEVEN_ORDER] * q + p[kernel.P_PHASE])
     if p[kernel.P_TURNS].any():
         output = output + p[kernel.P_ONCE] * np.sin(q + p[kernel.P_ONCE_PHASE])
@@ -189,7 +189,7 @@ def drive_start(p: Array, q0: Array, q_a: Array, holding_torque: Array, temperat
         p: parameter block ``(PARAMETERS, n)``.
         q0: motor angles ``(n,)`` [rad].
         q_a: arm angles ``(n,)`` [rad].
-        holding_torque: that holds the arm at rest ``(n,)`` [N m].
+        holding_torque: the torque that holds the arm at rest ``(n,)`` [N m].
         temperature: of the gears ``(n,)`` [°C].
     """
     x = np.zeros((kernel.STATES, p.shape[1]))

@@ -1,4 +1,4 @@
-"""The default world of an arm without a world file: sizes in proportion to its inertias and torque limits."""
+"""The default world of an arm without a world file, with sizes in proportion to its inertias and torque limits."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ def generic_world(robot: Robot) -> dict[str, Any]:
     """The settings that ``World(robot=…, **settings)`` needs per joint, for any robot that Pinocchio can load.
 
     Friction takes about a tenth of the torque limit (of the gravity and inertia torque of a moderate motion where no
-    limit is given). Rotors that the robot data do not know get the inertia that the torque limit turns with
-    300 rad/s² (a third of the link's where no limit is given): no geared drive is without. Inertias and gravity are
-    those of the home posture, of an arm whose data name none the mean and the largest over its range.
+    limit is given). Rotors of unknown inertia get the one that the torque limit turns with 300 rad/s² (a third of the
+    link's where no limit is given): as every geared drive has a rotor. Inertias and gravity are those of the home
+    posture, of an arm whose data name none the mean and the largest over its range.
     """
     mass, gravity, lightest = _loads(robot)
     guess = np.where(np.isfinite(robot.tau_max), _strength(robot, gravity, mass) / 300.0, mass / 3.0)
@@ -51,7 +51,7 @@ def generic_world(robot: Robot) -> dict[str, Any]:
     rotor = robot.rotor_inertia + extra
     strength = _strength(robot, gravity, mass + rotor)
     fast = np.where(np.isfinite(robot.v_max), robot.v_max, 2.0)
-    # A light last link must not ask for oscillations that a 0.5 ms step cannot follow.
+    # A light last link must not cause oscillations that a 0.5 ms step cannot follow.
     link = np.maximum(mass, 0.2 * rotor)
     stiffness = np.maximum((2 * np.pi * RESONANCE) ** 2 * link, gravity / SAG)
     damping = 2 * DAMPING * np.sqrt(stiffness * link)
@@ -106,7 +106,7 @@ def _strength(robot: Robot, gravity: Array, inertia: Array) -> Array:
 # Oscillations that the simulation's step cannot follow.
 
 def fastest(mass: Array, stiffness: Array, rotor: Array) -> tuple[float, int]:
-    """Fastest oscillation of links M, rotors J and gears K in a posture [rad/s], and the gear that most of it is in.
+    """Fastest oscillation of links M, rotors J and gears K in a posture [rad/s], and the gear that takes most part.
 
     Its squared frequencies are those of √K (M⁻¹ + J⁻¹) √K; a rigid gear has its rotor in M and no part in it.
 
@@ -117,14 +117,14 @@ def fastest(mass: Array, stiffness: Array, rotor: Array) -> tuple[float, int]:
     """
     rigid = np.isinf(stiffness)
     root = np.sqrt(np.where(rigid, 0.0, stiffness))
-    # A last link without inertia of its own turns with a trace of its rotor's.
+    # A last link without inertia of its own gets a millionth of its rotor's.
     turned = np.linalg.inv(mass + np.diag(np.where(rigid, rotor, 1e-6 * rotor)))
     values, ways = np.linalg.eigh(root[:, None] * (turned + np.diag(np.where(rigid, 0.0, 1.0 / rotor))) * root)
     return float(np.sqrt(max(values[-1], 0.0))), int(np.argmax(np.abs(ways[:, -1])))
 
 
 def too_fast(robot: Robot, stiffness: Array, damping: Array, rotor: Array) -> NDArray[np.bool_]:
-    """Gears that have to be rigid ``(n,)``, so that the step follows all oscillations wherever the arm stands.
+    """Gears that have to be rigid ``(n,)``, so that the simulation step can follow all oscillations in any posture.
 
     And their damping: on a last link that is far lighter than its drive it acts faster than the gear oscillates.
 

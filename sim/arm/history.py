@@ -1,4 +1,4 @@
-"""What the simulated arm went through: its log, poses at any time of it, and the recording of it."""
+"""The log of the simulated arm, its poses at any time, and the recording made from it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class History(RowLog):
             raise self.refused
 
     def columns(self) -> dict[str, Array]:
-        """``t (N,)`` [s] and every logged quantity ``(N, n)``; of a long run they are read from its file when used."""
+        """Times ``t (N,)`` [s] and every logged quantity ``(N, n)``; a long run's are read from its file when used."""
         return self.split(self.mapped())
 
     def split(self, rows: Array) -> dict[str, Array]:
@@ -45,7 +45,7 @@ class History(RowLog):
         return {"t": rows[:, 0], **{name: rows[:, 1 + i * n: 1 + (i + 1) * n] for i, name in enumerate(LOGGED)}}
 
     def parts(self, every: int = 1) -> Iterator[tuple[int, dict[str, Array]]]:
-        """Rows at a stride of ``every``, block by block: number of the first of them, and the block's ``columns``."""
+        """Every ``every``-th row, block by block: number of the block's first row, and the block's ``columns``."""
         for first, rows in self.blocks():
             start = -first % every
             if start < len(rows):
@@ -57,7 +57,7 @@ class History(RowLog):
         Raises ``SimError`` where ``t`` lies before the start or after ``t_now``.
 
         Args:
-            t: the time asked for [s].
+            t: the time [s].
             t_now: time that has been reached, behind the last row [s].
             q_now: arm angles then ``(n,)`` [rad].
             qd_now: arm velocities then ``(n,)`` [rad/s].
@@ -90,13 +90,13 @@ PoseAt = Callable[[float, Array], pin.SE3]
 
 
 def recording_of(robot: Robot, world: World, history: History, pose_at: PoseAt | None) -> Recording:
-    """What a controller would have logged, every ``world.log_cycle``.
+    """The recording that a controller would have logged, every ``world.log_cycle``.
 
     Args:
         robot: data sheet of the arm.
         world: the true world.
         history: of the run.
-        pose_at: where the tool was, for the columns of an external measuring device; None leaves them out.
+        pose_at: pose of the tool at a time, for the columns of an external measuring device; None leaves them out.
     """
     every = max(1, round(world.log_cycle / history.step))
     length, n = -(-history.rows // every), robot.n
@@ -130,7 +130,7 @@ class _ExternalDevice:
 
     def __init__(self, world: World, pose_at: PoseAt, length: int, n: int) -> None:
         self._world, self._pose_at, self._n = world, pose_at, n
-        # First all draws of positions, then those of rotations, then those of angles.
+        # The order of the draws is fixed: all positions, then rotations, then angles.
         self._position, self._rotation, self._angles = (
             np.random.default_rng([world.individual, length, 104729]) for _ in range(3))
         for rng, before in ((self._rotation, 3 * length), (self._angles, 6 * length)):

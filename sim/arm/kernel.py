@@ -37,7 +37,7 @@ STATES = X_TOLD_END + 1
  S_VISCOSITY_TEMPERATURE, S_REFERENCE, S_AMBIENT, S_LUBRICANT_RATE) = range(11)
 # Step counts of the cycles.
 (N_IPO, N_POSITION, N_VELOCITY, N_LOG) = range(4)
-# Rows of what is exchanged with the links.
+# Rows of the block that is exchanged with the links.
 (L_ANGLE, L_VELOCITY, L_EXTRA, L_TORQUE) = range(4)
 # Columns of a row of the log, each n wide, after the time.
 LOGGED = ("q_c", "q", "tau", "q_m", "q_a", "qd_a", "qd_m", "tau_motor", "tau_gear", "temperature")
@@ -49,7 +49,7 @@ def _bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> flo
     if v == 0.0:
         return z
     if g <= 0.0:
-        return 0.0  # without dry friction nothing holds the bristles
+        return 0.0  # without dry friction there are no bristles
     settled = g / sigma0 if v > 0.0 else -g / sigma0
     return settled + (z - settled) * math.exp(-abs(v) * sigma0 * dt / g)
 
@@ -124,7 +124,7 @@ def _control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: fl
         if p[C_COMPENSATION, j] > 0.0:  # the drive's own friction compensation knows the command, not the motion
             commanded = (x[X_LOW2, j] - before) / s[S_T_POSITION]
             x[X_COMPENSATION, j] = p[C_COMPENSATION, j] * math.tanh(commanded / p[P_V_STRIBECK, j])
-    if velocity_due and p[C_TORQUE, j] > 0.0:  # another controller asks for torques
+    if velocity_due and p[C_TORQUE, j] > 0.0:  # another controller commands the torques
         x[X_TORQUE, j] = min(max(x[X_ASKED, j], -p[C_LIMIT, j]), p[C_LIMIT, j])
     elif velocity_due:
         error = x[X_VELOCITY_DESIRED, j] - x[X_VELOCITY, j]
@@ -229,7 +229,7 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
             angle = p[P_UNEVEN_ORDER, j] * (x[X_MOTOR, j] if elastic else q_a) + p[P_PHASE, j]
             uneven = p[P_UNEVEN, j] * math.sin(angle)
             slope = 1.0 + p[P_UNEVEN, j] * p[P_UNEVEN_ORDER, j] * math.cos(angle)
-        if p[P_TURNS, j] > 0.0:  # and what comes once and twice per turn of the joint
+        if p[P_TURNS, j] > 0.0:  # and its parts of one and two periods per turn of the joint
             angle = x[X_MOTOR, j] if elastic else q_a
             once, twice = angle + p[P_ONCE_PHASE, j], 2.0 * angle + p[P_TWICE_PHASE, j]
             uneven += p[P_ONCE, j] * math.sin(once) + p[P_TWICE, j] * math.sin(twice)
@@ -241,7 +241,7 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
         x[X_CURRENT, j] += s[S_CURRENT_PASS] * (x[X_TORQUE, j] - x[X_CURRENT, j])
         motor = x[X_CURRENT, j] * p[P_GAIN, j]
         # Drives measure the mean current since the last sample: the torque falls and jumps within each position cycle,
-        # and samples at its jumps would see an inertia that is not there.
+        # and samples at its jumps would suggest a wrong inertia.
         row[1 + 2 * n + j] += x[X_CURRENT, j]
         if log_due:
             _log_joint(p, x, links, j, counts[N_LOG] if tick > 0 else 1, noise[j], row)

@@ -1,4 +1,4 @@
-"""Gains that an industrial controller schedules by posture, as its maker's model of the arm has the inertia."""
+"""Gains that an industrial controller schedules by posture, with the inertia of its own arm model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.arm.world import World
 class GainSchedule:
     """Sets the velocity loop's gain K_p once a cycle to ``K_p (1 + g (J(q) / J(home) - 1))``.
 
-    J is the joint's moment of inertia with its rotor, by the data sheet: the maker does not know what is carried.
+    J is the joint's moment of inertia with its rotor, by the data sheet: the payload is not in it.
 
     Args:
         robot: the data sheet.
@@ -30,7 +30,7 @@ class GainSchedule:
 
     @staticmethod
     def of(robot: Robot, world: World, p: Array) -> GainSchedule | None:
-        """The schedule of a world; None where gains are fixed.
+        """The schedule of a world; None where gains are constant.
 
         Args:
             robot, world, p: as of the class.

@@ -16,7 +16,7 @@ from sim.arm.world import ExtraTorque, World
 
 @dataclass(frozen=True)
 class Specimen:
-    """The true arm, one individual of its type.
+    """The true arm: one individual of its type, with its deviations from the data sheet.
 
     Attributes:
         model: Pinocchio model with the true kinematics and inertias, the payload included, rotors not.
@@ -34,7 +34,7 @@ class Specimen:
 
 
 def draw_specimen(robot: Robot, world: World) -> Specimen:
-    """The arm of the seed ``world.individual``.
+    """Draws the individual arm of the seed ``world.individual``.
 
     Raises ``InputError`` for elastic gears without rotor inertia, which no equation of motion exists for.
     """
@@ -105,12 +105,12 @@ def _scaled(inertia: pin.Inertia, mass_factor: float, extension: Array) -> pin.I
     second = mass_factor * stretch @ second @ stretch
     stretched = np.trace(second) * np.eye(3) - second
     if np.linalg.eigvalsh(stretched)[0] < -1e-12 * np.trace(second):
-        # Moments that no body has cannot be stretched: more mass is all that can be drawn.
+        # Impossible moments of inertia cannot be stretched, so only the mass is drawn.
         return pin.Inertia.FromDynamicParameters(mass_factor * inertia.toDynamicParameters())
     return pin.Inertia(mass_factor * mass, stretch @ lever, stretched)
 
 
-# Torque that no effect of the world names, drawn anew for every play: as strong in each octave as it was measured.
+# Random torque without a physical model, drawn anew for every run: as strong in each octave as it was measured.
 
 LOWEST = 0.05
 """Where the first octave begins [Hz]: slower torques are those of postures."""
@@ -124,7 +124,7 @@ def octave_edges(count: int) -> Array:
 
 
 def residual_torque(world: World, model: pin.Model, rng: np.random.Generator) -> ExtraTorque | None:
-    """The world's ``extra_torque`` with its residual and the offsets of its body; None where it has none of them.
+    """The world's ``extra_torque`` with its random residual and its body's offsets; None where it has none of them.
 
     Args:
         world: the true world.

@@ -1,15 +1,15 @@
-"""What moves the tool beside the joints: links and bearings that bend, a column that sways, links that grow with heat.
+"""Tool motion beyond the joints': links and bearings that bend, a column that sways, links that grow with heat.
 
-The joints' motion is PyBullet's. From it follow the forces that each joint passes on, and from those by how much the
-tool is elsewhere, to first order in angles of some 0.1 mrad:
+The joints' motion is PyBullet's. From it follow the forces at each joint, and from those the displacement of the tool,
+to first order in angles of some 0.1 mrad:
 
     φ_i   = -c_i (1 - a_i a_iᵀ) M_i                      bearing and link of joint i tilt across its axis a_i
     φ̈_0 + 2 d ω φ̇_0 + ω² φ_0 = -ω² M_0 / k_0              the column tilts about the base's x and y axes
     δ     = Σ φ_i × (x - p_i) + φ_0 × x + Σ α (T_i - T_ref) (p_{i+1} - p_i)
 
-M_i is the moment about joint i that carries everything behind it, M_0 that of the whole arm about the foot of the
-column, p_i where joint i is, x the tool, T_i the temperature of gear i. The links' motion does not feel it: what bends
-is stiffer than the gears, and the column heavier than the arm.
+M_i is the moment about joint i of everything behind it, M_0 that of the whole arm about the foot of the column, p_i
+where joint i is, x the tool, T_i the temperature of gear i. The links' motion is not affected: these parts are stiffer
+than the gears, and the column heavier than the arm.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ stiff surface force and bending would otherwise answer each other from step to s
 
 
 class Structure:
-    """How far the tool is from where the joints alone would have it, along one run.
+    """Displacement of the tool by the structure's compliance and heat along one run.
 
     Args:
         robot: the data sheet.
@@ -59,7 +59,7 @@ class Structure:
 
     @staticmethod
     def of(robot: Robot, model: pin.Model, world: World, step: float) -> Structure | None:
-        """The structure of an arm; None where it is rigid.
+        """The structure of an arm; None where all of it is rigid.
 
         Args:
             robot, model, world, step: as of the class.
@@ -78,7 +78,7 @@ class Structure:
         self.off = self._off(q, still, still, temperature, swings=False)
 
     def update(self, q: Array, qd: Array, temperature: Array) -> None:
-        """Goes on by a step and logs where the tool is.
+        """Advances by a step and logs the tool's displacement.
 
         Args:
             q: arm angles ``(n,)`` [rad].
@@ -92,7 +92,7 @@ class Structure:
         self.log.append(tuple(self.off))
 
     def at(self, t: float) -> Array:
-        """Displacement and rotation ``(6,)`` at ``t`` [s]; between two updates in proportion, then as it is now."""
+        """Displacement and rotation ``(6,)`` [m, rad] at ``t`` [s], linear between updates, constant afterwards."""
         rows = self.log.rows
         if rows == 0:
             return self.off
@@ -133,7 +133,7 @@ class Structure:
         moments = np.array([data.f[i].angular for i in self._own])
         foot = np.array(data.oMi[1].act(data.f[1]).angular)
         if self._felt.any():
-            # The joints carry against what pushes the tool.
+            # The joints carry the external force on the tool.
             x, times_felt = self._places[-1], _cross(self._felt)
             moments -= (((x - self._places[:-1]) @ times_felt)[:, None, :] @ self._rotations)[:, 0]
             foot -= x @ times_felt

@@ -1,4 +1,4 @@
-"""The simulated world as data: every effect, its size and its switch.
+"""The settings of the simulated world: every effect, its size and its switch.
 
 Only the simulator reads it. The models never see it: they come from recordings.
 """
@@ -39,7 +39,7 @@ _COLDEST = -273.15
 """Absolute zero [°C]."""
 _NAMES = {"controller": ("cascade", "impedance", "pid", "inverse_dynamics"),
           "command_smoothing": ("lag", "second_order", "moving_average")}
-_FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9,  # 1 less that stays positive
+_FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9,  # the largest value below 1
              "column_damping": 0.9, "gain_schedule": 1.0}
 
 
@@ -86,7 +86,7 @@ def _checked_value(name: str, kind: str, value: Any) -> Any:
 
 
 def numbers(field: str, value: Any) -> Array:
-    """A number or an array of numbers as such; raises ``InputError`` where it is none, with ``field``."""
+    """A number or an array of numbers, unchanged; raises ``InputError`` with ``field`` for anything else."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
@@ -119,7 +119,7 @@ ExtraTorque = Callable[[float, Array, Array, Array], Array]
 
 @dataclass(frozen=True)
 class World:
-    """What the simulated arm is like. Angles and torques are on the joint side.
+    """Settings of the simulated arm's effects. Angles and torques are on the joint side.
 
     Attributes:
         robot: robot it belongs to.
@@ -142,8 +142,9 @@ class World:
         viscosity_temperature, dry_temperature: relative fall of hydrodynamic and of dry friction per kelvin
             above ``reference_temperature``.
         reference_temperature: where friction has the size given [°C].
-        lubrication: relative surplus of all friction when the lubricant has settled after a rest; 0 is none.
-        lubrication_time: how fast motion distributes the lubricant and rest settles it [s].
+        lubrication: relative surplus of all friction after a long rest, before motion distributes the lubricant; 0 is
+            none.
+        lubrication_time: time constant with which motion distributes the lubricant and rest undoes it [s].
         time_compression: thermal and lubricant time runs this many times faster than the arm.
         quantisation: the encoder has increments.
         encoder_increments: per motor turn.
@@ -178,16 +179,16 @@ class World:
             [1/K]; 0 is none.
         hose, hose_friction: of a dress pack along the arm: spring about the home posture [N m/rad], and torque that
             turns round with the motion [N m].
-        balancer: torque of a gas spring that holds joint 2 up, a quarter turn from where the arm stands upright [N m];
+        balancer: torque of a gas spring that supports joint 2, a quarter turn from where the arm stands upright [N m];
             0 is none.
         friction_compensation: share of the dry friction that the drive itself adds in the commanded direction.
         notch_frequency: of a notch filter in the velocity loop [Hz]; 0 is none.
         gain_schedule: share in which the velocity loop's gain follows the moment of inertia of the posture against that
             at home; 0 is a fixed gain, 1 a fixed bandwidth.
-        controller: cascade (the industrial one), impedance (its maker's bodies, no integrator), pid (on the position,
-            nothing known of the arm) or inverse_dynamics (bodies 10 % too heavy); their gains follow from
-            ``position_gain``, ``velocity_gain`` and ``integral_time``.
-        command_late: commands act so much later [s].
+        controller: cascade (the industrial one), impedance (with the data sheet's rigid bodies, no integrator), pid (on
+            the position, without a model of the arm) or inverse_dynamics (bodies 10 % too heavy); their gains follow
+            from ``position_gain``, ``velocity_gain`` and ``integral_time``.
+        command_late: additional delay of the commands [s].
         command_smoothing: what smooths them over ``command_time``: lag, second_order or moving_average.
         command_time: of the smoothing [s]; 0 is none.
         payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
@@ -199,8 +200,8 @@ class World:
             constant torques [N m]; ``12 n`` numbers, none for the data sheet's.
         geometry: measured places of the joints against the URDF's, in their parents' frames: rows of three shifts [m]
             and three turns [rad], one row per joint; none for the URDF's.
-        residual: torque without a name, drawn anew for each play: rows of standard deviations [N m], one number per
-            joint, for the octaves from 0.05 Hz up.
+        residual: random torque without a physical model, drawn anew for each run: rows of standard deviations [N m],
+            one number per joint, for the octaves from 0.05 Hz up.
         extra_torque: see ``ExtraTorque``; None is none.
     """
 
@@ -318,9 +319,9 @@ class World:
 
     @classmethod
     def ideal(cls, robot_name: str) -> World:
-        """The same arm with every effect off: motors are rigidly the links, and the data sheet is the truth.
+        """The same arm with every effect off: rigid gears, and the data sheet is exact.
 
-        Rotors that no data sheet tells stay: on the links alone many a loop is not stable.
+        Assumed rotors are kept where the data sheet has none: with the links alone many a loop is unstable.
         """
         return cls.default(robot_name).replace(
             elasticity=False, backlash=0.0, friction=False, thermal=False, quantisation=False, current_noise=0.0,
@@ -330,24 +331,24 @@ class World:
 
     @classmethod
     def cell(cls, robot_name: str) -> World:
-        """The same arm as it is in a cell: with all that ``sim.arm.cell`` adds to the default world."""
+        """The same arm in a production cell: the default world with all effects of ``sim.arm.cell``."""
         in_a_cell: Callable[..., dict[str, Any]] = imported("sim.arm.cell:in_a_cell")
         world, robot = cls.default(robot_name), Robot.load(robot_name)
         sizes = {name: world.per_joint(name, robot.n) for name in ("stiffness", "coulomb", "extra_rotor_inertia")}
         return world.replace(**in_a_cell(of_its_size(robot), sizes, world.t_velocity))
 
     def with_cycles(self, robot: Robot) -> Robot:
-        """The robot with the cycles of this world's controller, which are no secret: they stand in its manual."""
+        """The robot with the cycle times of this world's controller, which stand in any manual."""
         return dataclasses.replace(robot, t_ipo=self.t_ipo, t_position=self.t_position, t_velocity=self.t_velocity)
 
     @classmethod
     def from_table(cls, robot_name: str, table: dict[str, Any], file: str | None = None) -> World:
         """The default world changed by a scene's ``[world]`` table.
 
-        ``ideal = true`` starts from the ideal one, ``cell = true`` from the cell's.
-        Its table ``spread`` gives standard deviations of keys that nobody measured, of their logarithms, that of
-        ``velocity_feedforward`` itself: the individual says which values they have.
-        Raises ``InputError`` for an unknown key (named, with the allowed ones), a wrong type, a value out of range.
+        ``ideal = true`` starts from the ideal one, ``cell = true`` from the cell's. Its table ``spread`` gives standard
+        deviations of unmeasured keys, of their logarithms (of ``velocity_feedforward`` itself); ``individual`` is the
+        seed of their values. Raises ``InputError`` for an unknown key (named, with the allowed ones), a wrong type, a
+        value out of range.
 
         Args:
             robot_name: of a shipped robot, or the path of a URDF.
@@ -369,9 +370,9 @@ class World:
             return world.drawn(spread) if spread else world
 
     def drawn(self, spread: dict[str, float]) -> World:
-        """The world of its individual where some keys are known to within standard deviations, see ``from_table``.
+        """The world with its uncertain keys drawn for its individual; ``spread`` is described in ``from_table``.
 
-        Raises ``InputError`` for a key that has no size, or a spread that is none.
+        Raises ``InputError`` for a key that has no size, or a spread that is negative.
         """
         rng, changed = np.random.default_rng([self.individual, 15485863]), {}
         sizes = {field.name for field in dataclasses.fields(self) if str(field.type) == "PerJoint"}
@@ -389,7 +390,7 @@ class World:
         return self.replace(**changed)
 
     def bodies(self, model: pin.Model) -> tuple[Array, Array, Array]:
-        """``body`` by links ``(links, 10)``, rotor inertias and offsets ``(n,)`` each.
+        """Splits ``body`` into links ``(links, 10)``, rotor inertias and torque offsets ``(n,)`` each.
 
         Raises ``InputError`` for another number of values than an arm of this model has.
         """
@@ -418,7 +419,7 @@ class World:
         return np.array(np.broadcast_to(value, (n,)), dtype=float)
 
     def table(self) -> dict[str, Any]:
-        """All settings that a table can hold, for reports and recordings; what is there only if asked for, if it is."""
+        """All settings as a table, for reports and recordings; optional ones only where they are set."""
         values, unusual = {name: getattr(self, name) for name in TABLE_KEYS}, {**OF_A_CELL, **OF_A_CONTROLLER}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
                 if (name not in ("body", "geometry", "residual") or value)
@@ -445,7 +446,7 @@ def _table(robot: str | Robot) -> dict[str, Any]:
     """Settings of a shipped world, or such in proportion for any other robot; a wrong name fails in ``Robot.load``."""
     name = robot if isinstance(robot, str) else robot.name
     path = Path(str(resources.files("sim"))) / "arm" / "worlds" / f"{name}.toml"
-    # An arm of the user's may have a shipped robot's name and other joints.
+    # A user's arm may have a shipped robot's name and other joints.
     shipped = Path(str(resources.files("ideal_robot"))) / "robots" / name / f"{name}.urdf"
     own = isinstance(robot, Robot) and robot.urdf != shipped
     if path.is_file() and not own:

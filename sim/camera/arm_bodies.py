@@ -1,4 +1,4 @@
-"""The arm's links in the camera's picture: boxes and cylinders of its URDF, where they stand at the exposure."""
+"""The arm's links in the camera's picture: boxes and cylinders of its URDF at the pose of the exposure."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def _prism(radius: float, half: float) -> tuple[list[list[float]], list[int]]:
 
 
 class Body:
-    """A body that is only seen, and taken out of the picture where no window shows it.
+    """A body that is only rendered, and hidden where no window shows it.
 
-    A renderer works through all triangles and pixels of what it is not told to leave out.
+    The renderer processes all triangles and pixels of every visible body.
 
     Args:
         number, client: PyBullet's ids of the body and of its physics client.
@@ -57,13 +57,13 @@ class Body:
         self._shown = True
 
     def show(self, shown: bool) -> None:
-        """Puts it into the picture, or takes it out: the renderer leaves out what is wholly transparent."""
+        """Shows or hides the body; hidden, it is fully transparent and skipped by the renderer."""
         if shown != self._shown:
             pybullet.changeVisualShape(self.number, -1, rgbaColor=self._colours[shown], physicsClientId=self._client)
             self._shown = shown
 
     def stand(self, place: pin.SE3) -> None:
-        """Moves it to a pose in the base frame."""
+        """Moves the body to a pose in the base frame."""
         pybullet.resetBasePositionAndOrientation(self.number, place.translation.tolist(),
                                                  pin.Quaternion(place.rotation).coeffs().tolist(),
                                                  physicsClientId=self._client)
@@ -72,7 +72,8 @@ class Body:
 class ArmBodies:
     """The arm's visible shapes in a camera's physics client.
 
-    A renderer works through all that is in its client, so a shape is brought in the first time that a window shows it.
+    The renderer processes every body of its client, so a shape is loaded only when a window shows it for the first
+    time.
 
     Args:
         robot: the arm; meshes of its URDF are not opened, and not seen.
@@ -80,7 +81,7 @@ class ArmBodies:
         camera: the true one.
 
     Attributes:
-        bodies: PyBullet's ids of the shapes that have been looked at, by their place in the URDF.
+        bodies: PyBullet's ids of the shapes that have been loaded, by their place in the URDF.
     """
 
     def __init__(self, robot: Robot, client: int, camera: CameraModel) -> None:
@@ -98,7 +99,7 @@ class ArmBodies:
         self._standing: set[int] = set()
 
     def stand(self, q: Array, pose: pin.SE3) -> None:
-        """Finds out where the links are at ``q (n,)`` [rad], the TCP at ``pose``; ``shown`` puts them there."""
+        """Computes the links' poses at ``q (n,)`` [rad], the TCP at ``pose``; ``shown`` applies them."""
         pin.forwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
         eye = pose * self._camera.T_tool_camera
         rotation, place = joint_places(self._data)
@@ -107,7 +108,7 @@ class ArmBodies:
         self._standing.clear()
 
     def shown(self, windows: Sequence[Window]) -> list[set[Body]]:
-        """What of the arm each window may show, standing where it is; none of them is empty."""
+        """The links that each window may show, moved to their poses; none of the windows is empty."""
         visible = in_view(self._camera, windows, self._seen, self._reach)
         for k in np.flatnonzero(visible.any(axis=0)).tolist():
             if k not in self.bodies:
@@ -132,7 +133,7 @@ class ArmBodies:
 
 
 def in_view(camera: CameraModel, windows: Sequence[Window], corners: Array, reach: Array) -> NDArray[np.bool_]:
-    """Which of some boxes each window may show ``(windows, M)``.
+    """Which of some boxes each window may show, as a mask ``(windows, M)``.
 
     Args:
         camera: that looks at them.

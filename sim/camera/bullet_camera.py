@@ -1,4 +1,4 @@
-"""The camera as PyBullet's TinyRenderer renders it: the drawn texture, flat or on a relief, and before it tool and arm.
+"""The camera rendered by PyBullet's TinyRenderer: the drawn texture, flat or on a relief, with tool and arm.
 
 Shifting the principal point in the projection matrix moves a window to any place of the image. TinyRenderer draws an
 undistorted picture; the lens is put in by sampling it where the distorted pixels' rays hit it.
@@ -58,8 +58,8 @@ class BulletCamera(RenderedCamera):
         relief: heights over the same plane; None for the plane itself.
         tool: whether the tool's tip and a hose beside it are in the picture.
         arm: whose links are in the picture, with its tool; None for an arm that stays out of it.
-        strips: length of the relief's flat pieces along the plane's x and y [m]; for a surface that is bent along x
-            alone the usual ones.
+        strips: length of the relief's flat facets along the plane's x and y [m]; by default those for a surface curved
+            along x alone.
 
     Attributes:
         arm: links in the picture; None where there are none.
@@ -150,7 +150,7 @@ class BulletCamera(RenderedCamera):
         for pose, view, (du, dv) in zip(poses, views, offsets, strict=True):
             if tool is not None:
                 tool.stand(pose)
-            # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
+            # The samples are fixed; the renderer's own grid is shifted below them, which averages its hard edges.
             grid = scale, column0 + du, row0 + dv
             image, bodies = self._picture(view, width, height, *grid, parted=parted)
             add_samples(total, image, x, y, grid, weight)
@@ -182,7 +182,7 @@ class BulletCamera(RenderedCamera):
 
     def _surface_in(self, bodies: NDArray[np.int32]) -> NDArray[np.uint8]:
         """Which pixels show the surface, or nothing ``(height, width, 1)``, of the bodies that they show."""
-        # The surface's pieces are the client's first bodies; where there is none, it says -1.
+        # The surface's facets are the client's first bodies; -1 means no body.
         return (bodies < len(self._pieces)).astype(np.uint8)[:, :, None]
 
     def _tool_in(self, left: float, top: float, width: int, height: int, scale: float) -> bool:
@@ -214,7 +214,7 @@ class BulletCamera(RenderedCamera):
             left, right = int(u[0]), int(np.ceil(u[-1]))
             lines = _strips(x[span], y, z[:, span], (u - left) / (right - left))
             number = self._body(folder, f"surface{first}", lines, self.surface.plane, colour)
-            # Packed, the picture would take twice as long to write and read.
+            # An uncompressed file: writing and reading a compressed one takes twice as long.
             image = folder / f"surface{first}.bmp"
             image.write_bytes(cv2.imencode(".bmp", texture.image[:, left:right])[1].data)
             identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)

@@ -1,7 +1,8 @@
 """The camera on the arm, looking at a drawn plane from the arm's true poses.
 
-Each pixel is the mean of a few samples of the surface, taken where their rays, bent by the lens, meet it; only the
-pixels of the search windows are. Exposure, gray noise, time stamp, latency and lost fields follow the settings.
+Each pixel is the mean of a few samples of the surface, taken where their rays, bent by the lens, meet it; and only
+pixels of the search windows are computed. Exposure, gray noise, time stamp, latency and lost fields follow the
+settings.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ TOGETHER = 3
 
 
 class RenderedCamera:
-    """Renders fields of the drawn surface; sees of the arm only the true TCP pose.
+    """Renders fields of the drawn surface; of the arm it uses only the true TCP pose.
 
     Args:
         model: the true camera.
-        surface: what it looks at.
+        surface: the drawn surface.
         settings: exposure, noise, timing.
-        rng: seeds the camera's noise. Every field draws from a stream of its own, so that a field is the same
-            whatever was asked before.
+        rng: seeds the camera's noise. Every field has a random stream of its own, so it does not depend on earlier
+            fields.
         texture: painted surface; made from ``surface`` if not given, and kept as ``texture`` for another camera on it.
         lamp: lights the surface; None for light from everywhere.
 
@@ -85,19 +86,19 @@ class RenderedCamera:
         self.close()
 
     def restart(self) -> None:
-        """Forgets what earlier fields have done to the automatic exposure."""
+        """Resets the automatic exposure."""
         self._gain, self._exposed, self._gains = 1.0, -math.inf, RowLog(2)
 
     def close(self) -> None:
-        """Frees what the camera holds for its pictures."""
+        """Frees the resources of the renderer."""
         self._whole_rays.clear()
         self._whole_samples.clear()
 
     def due(self, t0: float, t1: float) -> list[float]:
         """Mid-exposure times [s] of the fields whose exposure *ends* in ``[t0, t1)``, without the lost ones.
 
-        After the arm has been moved to ``t1`` all poses are known that these exposures need. Of a rolling readout the
-        middle row's exposure is the field's; none begins before time 0.
+        Once the arm has moved to ``t1``, all poses of these exposures are known. Of a rolling readout the middle row's
+        exposure is the field's; none begins before time 0.
         """
         half = 0.5 * (self.settings.exposure + self.settings.rolling)
         first = max(0, *(math.ceil(round((since - self.settings.phase) * self.settings.rate, 6))
@@ -112,7 +113,7 @@ class RenderedCamera:
         return times
 
     def stamp(self, t_exposure: float) -> float:
-        """Controller time that the camera says of the field exposed at ``t_exposure`` [s], one of ``due``."""
+        """Controller time that the camera states for the field exposed at ``t_exposure`` [s], one of ``due``."""
         k = round((t_exposure - self.settings.phase) * self.settings.rate)
         wrong = self.settings.stamp_offset + self.settings.stamp_drift * t_exposure
         return float(t_exposure + wrong + self.settings.stamp_noise * self._numbers(k)[2])
@@ -124,7 +125,7 @@ class RenderedCamera:
         return s.phase + k / s.rate
 
     def comes_twice(self, t_exposure: float) -> bool:
-        """Whether the field exposed at ``t_exposure`` [s] is sent once more, behind the first."""
+        """Whether the field exposed at ``t_exposure`` [s] is sent a second time."""
         if self.settings.doubled == 0.0:
             return False
         k = round((t_exposure - self.settings.phase) * self.settings.rate)
@@ -132,16 +133,17 @@ class RenderedCamera:
 
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window],
                 shape: Sequence[Array] = (), q: Array | None = None, *, measured: bool = True) -> Field:
-        """One field, cut to windows; raises ``InputError`` where one reaches outside the image.
+        """Renders one field, cut to windows; raises ``InputError`` where one reaches outside the image.
 
         Args:
             t_exposure: true time of mid-exposure, one of ``due`` [s].
             pose_at: true TCP pose at a time; called within half the exposure (and readout) time around ``t_exposure``.
             windows: rectangles inside the image; empty ones give empty patches.
-            shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
+            shape: parts of the arm that may cast a shadow: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)``
+                [m].
             q: arm angles ``(n,)`` [rad] at ``t_exposure``, for an arm that is in the picture (``shows_arm``).
-            measured: whether it is measured in; what is only looked at stands where it is in the middle of the
-                exposure, one sample a pixel.
+            measured: whether positions are measured in it; otherwise it is rendered at mid-exposure with one sample per
+                pixel.
         """
         for window in windows:
             inside = min(window) >= 0 and window.u + window.width <= self.model.width
@@ -182,7 +184,7 @@ class RenderedCamera:
             q: as for ``windows``.
         """
         whole = Window(0, 0, self.model.width, self.model.height)
-        # A fine image shows its line smooth enough with one sample a pixel, and takes long anyway.
+        # A fine image shows its line smooth enough with one sample per pixel, and is slow in any case.
         samples = 2 if whole.width * whole.height <= FINE else 1
         if q is not None:
             self._stand(q, pose)
@@ -192,9 +194,9 @@ class RenderedCamera:
         return self._chain.developed(gray.reshape(whole.height, whole.width), whole, noise_rng)
 
     def whole(self, seen: Field, pose_at: PoseAt, shape: Sequence[Array] = (), q: Array | None = None) -> Gray:
-        """The whole picture ``(height, width)`` of a field, in which its windows stand as they were read out.
+        """The whole picture ``(height, width)`` of a field, with its windows pasted in as they were read out.
 
-        What is around them is only looked at.
+        The rest is rendered for display only.
 
         Args:
             seen: from ``windows``, since the camera was restarted.
@@ -292,7 +294,7 @@ class RenderedCamera:
         table = np.array(windows, dtype=np.int64).reshape(-1, 4)
         if self.model.width * self.model.height <= FINE:
             return sample_plane(self.texture.image, maps, self._rays_of_image(n), 0, 0, table), 1.0
-        # The rays of a fine image would fill the memory.
+        # The rays of a fine image would fill the memory, so they are computed window by window.
         return np.concatenate([np.empty(0), *(
             sample_plane(self.texture.image, maps, self._rays(window, n), window.u, window.v, row[None])
             for window, row in zip(windows, table, strict=True))]), 1.0

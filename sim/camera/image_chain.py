@@ -1,4 +1,4 @@
-"""What a simulated camera does to picture and time: its settings, and what lens, sensor and file make of light."""
+"""Picture and time stamp of a simulated camera: its settings, and the effects of lens, sensor and compression."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sensing.camera.camera_device import Gray, Window
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What the camera does to the picture and to its time.
+    """Settings of the camera's picture and time stamps.
 
     Attributes:
         rate: fields per second [Hz].
@@ -126,7 +126,7 @@ class ImageChain:
         self._step = BLOCK if settings.jpeg_quality else 2 if settings.mosaic else 1
 
     def around(self, window: Window) -> Window:
-        """The pixels whose light the gray values of a window depend on: whole blocks; an empty window needs none."""
+        """The window whose light the gray values of ``window`` depend on: whole blocks; empty for an empty window."""
         if not window.width * window.height:
             return window
         sides = []
@@ -138,7 +138,7 @@ class ImageChain:
         return Window(u0, v0, u1 - u0, v1 - v0)
 
     def developed(self, light: Light, window: Window, rng: np.random.Generator | None) -> Gray:
-        """Gray values ``(height, width)``.
+        """Gray values ``(height, width)`` of a window, from the light that falls on it.
 
         Args:
             light: that reaches the pixels of a window ``(height, width)`` [gray], is overwritten.
@@ -190,7 +190,7 @@ class ImageChain:
 
 
 def disc(radius: float) -> NDArray[np.float64]:
-    """What becomes of a point out of focus by ``radius`` [px]: the share of a disc's light in each pixel; sum 1."""
+    """Image of a point that is out of focus by ``radius`` [px]: the share of its light in each pixel; sum 1."""
     reach = int(np.ceil(radius + 0.5))
     count = 2 * reach + 1
     x = (np.arange(FINER * count) + 0.5) / FINER - 0.5 * count
@@ -206,7 +206,7 @@ def _gains(window: Window) -> Array:
 
 
 def cut(gray: Gray, of: Window, window: Window) -> Gray:
-    """A window's part ``(height, width)`` of a larger one's gray values; a view.
+    """The part ``(height, width)`` of a larger window's gray values that belongs to a window; a view.
 
     Args:
         gray: of the larger one.

@@ -1,7 +1,7 @@
-"""What a lamp does to the picture of a surface: it fades with distance, is mirrored, and the arm's shadow falls on it.
+"""Effects of a lamp on the picture of a surface: fading with distance, mirror image, and the arm's shadow.
 
-TinyRenderer knows one light from infinity and shifts gray levels with it. Here a lamp stands somewhere, and each
-pixel's place on the surface is lit as that lamp lights it.
+TinyRenderer knows one light from infinity and shifts gray levels with it. Here the lamp has a place, and each pixel's
+point on the surface is lit from there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ideal_robot.jit import jit
 from ideal_robot.robots.robot import TOOL_TIP, Robot
 from ideal_robot.robots.urdf import without_meshes
 
-# What of the tool the camera has in the edge of its picture: the tip that follows the line, and a hose beside it.
+# The part of the tool at the edge of the camera's picture: the tip that follows the line, and a hose beside it.
 
 TOOL_COLOUR = [0.2, 0.2, 0.2, 1.0]
 """Dark, as rubber and burnished steel are."""
@@ -39,7 +39,7 @@ NEAREST = 0.005
 def tool_mesh(length: float = 0.0) -> list[str]:
     """Lines of an .obj file in the tool frame, z along the approach axis.
 
-    ``length`` is that from the flange to the TCP [m]; what is seen of it is never shorter than the usual shaft.
+    ``length`` is that from the flange to the TCP [m]; its visible part is never shorter than the default shaft.
     """
     shaft = (*TIP, (length, TOOL_RADIUS)) if length > TIP[-1][0] else TIP
     tip = np.array([[0.0, 0.0, -behind] for behind, _ in shaft])
@@ -75,7 +75,7 @@ def outline(mesh: Sequence[str], T_camera_tool: pin.SE3) -> Array:
     places, corners = triangles(mesh)
     a = (places @ T_camera_tool.rotation.T + T_camera_tool.translation)[corners]
     b = np.roll(a, -1, axis=1)
-    # What is left of a triangle before the camera has its corners on the sides, where they begin or come near enough.
+    # A triangle is clipped at the near plane: new corners lie on the sides that cross it.
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (NEAREST - a[..., 2]) / (b[..., 2] - a[..., 2])
         crossing = np.where(((share > 0.0) & (share < 1.0))[..., None], a + share[..., None] * (b - a), np.nan)
@@ -109,9 +109,9 @@ class Lamp:
 
     Attributes:
         place: where it is in the base frame ``(3,)`` [m].
-        radius: of what shines [m]; it makes the shadow's soft edge.
-        falloff: share of the light that comes from this lamp and fades with distance; the rest is the room's.
-        shadow: share of the light that the arm takes away where it stands in the lamp's way.
+        radius: of the luminous disc [m]; it gives the shadow its soft edge.
+        falloff: share of the light from this lamp, which fades with distance; the rest is room light.
+        shadow: share of the light that is missing in the arm's shadow.
         glare: gray levels added where the lamp is mirrored.
     """
 
@@ -125,7 +125,7 @@ class Lamp:
 class ArmShape:
     """The arm's links as capsules, for its shadow: boxes and cylinders of its URDF, or rods between the joints.
 
-    A tool that a scene put on is one more.
+    A tool that a scene adds is one more capsule.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -161,7 +161,7 @@ class ArmShape:
 
 
 def joint_places(data: pin.Data) -> tuple[Array, Array]:
-    """Where Pinocchio's joints are: rotations ``(joints, 3, 3)`` and places ``(joints, 3)`` [m] in the base frame."""
+    """Places of Pinocchio's joints in the base frame: rotations ``(joints, 3, 3)``, positions ``(joints, 3)`` [m]."""
     joints = list(data.oMi)
     return np.array([joint.rotation for joint in joints]), np.array([joint.translation for joint in joints])
 
@@ -176,12 +176,12 @@ def half_sizes(shape: object) -> Array | None:
 
 
 def light(lamp: Lamp, points: Array, normal: Array, centre: Array, hidden: Array) -> Array:
-    """How bright places of the surface are ``(N,)``; 1 at ``centre`` with nothing in the lamp's way.
+    """Brightness of points of the surface ``(N,)``; 1 at ``centre`` if nothing shades it.
 
-    Lambert's law with the lamp's distance r and the angle β from the normal: cos β / r², weighed by ``falloff``.
+    Lambert's law with the lamp's distance r and the angle β from the normal: cos β / r², weighted by ``falloff``.
 
     Args:
-        lamp: what lights them.
+        lamp: the lamp.
         points: on the surface ``(N, 3)`` [m].
         normal: of the surface ``(3,)``.
         centre: where the light is measured ``(3,)`` [m].
@@ -232,11 +232,11 @@ def _blinn(points: Array, lamp: Array, normal: Array, eye: Array, glare: float, 
 
 @jit()
 def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: Array) -> Array:
-    """Share of the lamp that each place does not see ``(N,)``: 0 in the light, 1 in the full shadow.
+    """Share of the lamp that is hidden from each point ``(N,)``: 0 in the light, 1 in the full shadow.
 
     The ray from the place to the lamp passes a capsule's axis at its nearest distance; the lamp's size makes an edge
-    whose width grows with the way from what casts the shadow to the surface. A capsule that the rays of a whole group
-    of places pass too far away is not looked at for each of them.
+    whose width grows with the distance from the capsule to the surface. Capsules far from all rays of a group of points
+    are skipped for the whole group.
 
     Args:
         points: places ``(N, 3)`` [m].
@@ -263,7 +263,7 @@ def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: 
                 continue
             for i in range(first, last):
                 distance, u = _passing(points[i, 0], points[i, 1], points[i, 2], lamp, ends[k])
-                # What the lamp's disc looks like at the capsule's distance.
+                # Radius of the lamp's disc, projected to the capsule's distance.
                 edge = max(lamp_radius * u, 1e-6)
                 hidden = min(max(0.5 * (radii[k] - distance) / edge + 0.5, 0.0), 1.0)
                 share[i] = max(share[i], hidden)

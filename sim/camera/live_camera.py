@@ -35,11 +35,11 @@ _STEPS = 3
 
 
 class LiveCamera:
-    """Pictures of a drawn line on a plane or a height surface, with the tool in them and a lamp above, where there is.
+    """Pictures of a drawn line on a plane or a height surface, with tool and lamp where there are any.
 
     Args:
         model: the true camera.
-        surface, relief: what it looks at, given on the plane, and heights over that; None for the plane itself.
+        surface, relief: the drawn surface on the plane, and heights over the plane; None for none.
         settings: resolution of the painted surface, lag of the automatic exposure, what lens and sensor do.
         rng: draws the noise.
         lamp: lights the surface; None for light from everywhere.
@@ -61,7 +61,7 @@ class LiveCamera:
         self._rays = model.rays(grid.reshape(-1, 2))
         self._lamp, self._lit_at = lamp, surface.at(np.array([0.5 * surface.length]))[0][0]
         self._gain, self._exposed = 1.0, -np.inf
-        # It moves with the camera: its picture is always the same.
+        # The tool moves with the camera, so its picture is always the same.
         self._tool = _tool_picture(model) if tool else None
 
     def picture(self, poses: Sequence[pin.SE3], t: float = 0.0, shape: tuple[Array, Array] = NOTHING) -> Gray:
@@ -70,7 +70,8 @@ class LiveCamera:
         Args:
             poses: of the tool during it.
             t: its middle [s].
-            shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
+            shape: parts of the arm that may cast a shadow: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)``
+                [m].
         """
         total = np.zeros((self.model.height, self.model.width), dtype=np.float32)
         if self._still(poses):

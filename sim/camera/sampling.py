@@ -17,7 +17,7 @@ from sim.camera.surface import Texture
 def add_samples(
     total: Array, image: NDArray[np.uint8], x: Array, y: Array, at: tuple[float, float, float], weight: float
 ) -> None:
-    """Adds the picture, sampled bilinearly at normalised coordinates, averaged over each pixel's samples, to ``total``.
+    """Adds to ``total`` a picture sampled bilinearly at normalised coordinates, averaged per pixel.
 
     Args:
         total: sum so far ``(height, width)`` [gray], changed.
@@ -71,7 +71,7 @@ def sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: 
 
 @jit(error_model="numpy")
 def on_plane(x: Array, y: Array, R: Array, c: Array, up: Array, place: Array) -> Array:
-    """Where rays (x, y, 1) in a camera's frame meet a plane ``(N, 3)`` [m].
+    """Points ``(N, 3)`` [m] where rays (x, y, 1) in a camera's frame meet a plane.
 
     Args:
         x: of the rays, to the right ``(N,)``.
@@ -128,7 +128,7 @@ def texel_map(T_plane_camera: pin.SE3, texture: Texture) -> Array:
 @jit()
 def sample_plane(image: NDArray[np.uint8], maps: Array, rays: Array, u0: int, v0: int, windows: NDArray[np.int64]
                  ) -> Array:
-    """Mean gray value of every pixel of the windows over its samples and the views, one window after the other.
+    """Mean gray value of every pixel of the windows over samples and views, the windows one after the other.
 
     Between the centres of texels the gray value is linear in both directions.
 

@@ -1,4 +1,4 @@
-"""A line drawn on a plane, as analytic geometry: what the camera sees and what errors are measured against."""
+"""A line drawn on a plane, as analytic geometry: the object of the camera and the reference for errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Feature:
         offset: distance to the left of the line [m].
         angle: angle between stroke and line [rad].
         width: width of the stroke [m].
-        gray: gray value of the stroke, or what is added (glare) or multiplied (shade, in percent) in the middle.
+        gray: gray value of the stroke, or the value added (glare) or factor in percent (shade) in its middle.
     """
 
     kind: FeatureKind
@@ -68,8 +68,8 @@ class DrawnLine:
         width: width of the line [m].
         gray, background: gray values of line and surface, 0 to 255.
         edge: width of the soft edge, over which the gray value changes linearly [m].
-        features: what makes it hard to see.
-        grain, grain_seed: what the bare surface looks like, see ``sim.camera.surface``; even gray if None.
+        features: features that make it hard to see.
+        grain, grain_seed: texture of the bare surface, see ``sim.camera.surface``; even gray if None.
         widths, grays: at each point ``(N,)`` where they are not the same everywhere [m], gray values.
     """
 
@@ -146,10 +146,10 @@ class DrawnLine:
     def beside(self, tool: Array) -> tuple[Array, Array]:
         """Arc length of the line ``(m,)`` [m] at tool positions ``(m, 3)`` [m], and how far left of it they are [m].
 
-        The height above the plane counts for nothing.
+        The height above the plane is ignored.
         """
         up, s, lateral = self.plane.rotation[:, 2], new_array(len(tool)), new_array(len(tool))
-        # Many positions at a time take several times their own memory.
+        # Many positions at once take several times their own memory, so they are processed in parts.
         for first in range(0, len(tool), AT_A_TIME):
             part = slice(first, first + AT_A_TIME)
             nearest = self.nearest(tool[part] - np.outer((tool[part] - self.plane.translation) @ up, up))
@@ -162,7 +162,7 @@ class DrawnLine:
         return self.nearest(points).distance
 
 
-# What the bare surface looks like: paper, wood or brushed metal in place of one even gray.
+# Texture of the bare surface: paper, wood or brushed metal instead of one even gray.
 
 GRAINS: dict[str, tuple[tuple[int, int], float]] = {
     "paper": ((2, 2), 6.0),
@@ -278,12 +278,12 @@ class _Canvas:
 
 
 def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> Texture:
-    """Paints the line and its features.
+    """Paints the line and its features into a gray image.
 
     Raises ``InputError`` for more than 64 million texels, or a resolution that is not positive.
 
     Args:
-        line: what is drawn.
+        line: the line.
         resolution: size of a texel [m]; a quarter of the soft edge or finer keeps the nearest texel's error small.
         margin: how far the surface reaches beyond the line [m].
     """

@@ -1,6 +1,6 @@
-"""An arm whose flange is clamped to the environment: elastic equilibrium, and what controller and sensor record.
+"""Elastic equilibrium of an arm whose flange is clamped to the environment, and its recordings.
 
-Quasi-static ([J] 2.1): the motors stand where the controller holds them; gears, links and environment give way until
+Quasi-static ([J] 2.1): the controller keeps the motors in place; gears, links and environment deflect until
 
     k (q_m − q) = G(q) + J(q)ᵀ F_e                                   [J] (1)
     F_e = (C_environment + C_links)⁻¹ · displacement of the flange
@@ -30,9 +30,9 @@ WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 @dataclass(frozen=True)
 class Push:
-    """One load case: the controller shifts the motors together along ``motion (n,)`` [rad per unit of level].
+    """One load case: the controller shifts all motors along ``motion (n,)`` [rad per unit of level].
 
-    It holds the levels ``(m,)`` one after the other.
+    It keeps each of the levels ``(m,)`` for a while, one after the other.
     """
 
     motion: Array
@@ -41,14 +41,14 @@ class Push:
 
 @dataclass(frozen=True)
 class ClampTruth:
-    """Not recorded: true gear stiffness, true over data-sheet drive gain."""
+    """True values that are not recorded: gear stiffness, and drive gain over that of the data sheet."""
 
     stiffness: Array
     gain_factor: Array
 
 
 class ClampedArm:
-    """Elastic equilibrium of an arm whose flange is held by the environment in all six degrees of freedom.
+    """Elastic equilibrium of an arm whose flange is clamped in all six degrees of freedom.
 
     Args:
         robot, world: kinematics and masses, and the truth.
@@ -59,7 +59,7 @@ class ClampedArm:
         self.robot, self.world, self.q0 = robot, world, np.array(q0, dtype=float)
         self._data = robot.pinocchio.createData()
         self._anchor = self._pose(self.q0)
-        # A hair of compliance keeps the rigid clamp of an ideal world solvable.
+        # A tiny compliance keeps the rigid clamp of an ideal world solvable.
         self._clamp = np.linalg.inv(self._compliance() + 1e-12 * np.eye(6))
         self.qm0 = self.q0 + self._gravity(self.q0) / world.stiffness
 
@@ -86,7 +86,7 @@ class ClampedArm:
         return self._clamp @ np.array(pin.log6(self._anchor.inverse() * self._pose(q)).vector)
 
     def equilibrium(self, q_m: Array, start: Array) -> Array:
-        """Arm angles at motor angles ``q_m (n,)``: Newton on [J] (1) from ``start``; ``SimError`` if there are none."""
+        """Arm angles at motor angles ``q_m (n,)``: Newton on [J] (1) from ``start``; ``SimError`` if it fails."""
         q = start.copy()
         k = self.world.stiffness
         for _ in range(40):
@@ -121,9 +121,9 @@ class ClampedArm:
         return shifts, angles, wrenches
 
     def press(self, forces: Array, rng: np.random.Generator) -> Push:
-        """Force control of [J] 4.3: the push whose levels are contact forces along −z of the tool ``(m,)`` [N].
+        """The push of [J] 4.3 whose levels are contact forces along −z of the tool ``(m,)`` [N].
 
-        Force control shifts the motors until the flange pushes along z alone; ``world.force_control`` says how well.
+        Force control shifts the motors until the flange pushes along z alone; ``world.force_control`` is its accuracy.
         """
         down = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
         soft = np.linalg.inv(self._clamp)
@@ -134,7 +134,7 @@ class ClampedArm:
         return Push(motion, np.interp(forces, -wrenches[:, 2], shifts))
 
     def guarded(self, motion: Array, shares: Array, *, torque: Array, force: float, moment: float) -> Push:
-        """The push along ``motion`` that stops where a motor torque, the force or the moment is reached.
+        """The push along ``motion`` that stops at shares of the limits of motor torques, force and moment.
 
         Args:
             motion: direction of the motors' shift ``(n,)``.
@@ -152,10 +152,10 @@ class ClampedArm:
     def play(self, pushes: list[Push], rng: np.random.Generator, *,
              gain_rng: np.random.Generator | None = None, components: tuple[str, ...] = WRENCH, hold: float = 2.0,
              ramp: float = 0.7, approach: float = 0.0) -> tuple[Recording, ClampTruth]:
-        """Holds the levels of all pushes one after the other and records, as a controller's scope and a sensor do.
+        """Applies all levels of all pushes one after the other and records them, as a controller and a sensor do.
 
         The recording has ``t``, ``q_i``, ``current_i`` on the controller's clock, ``t_wrench`` and the wrench
-        ``components`` on the sensor's clock, padded with NaN; the truth comes beside it.
+        ``components`` on the sensor's clock, padded with NaN; the true values are returned separately.
 
         Args:
             pushes: load cases.
@@ -255,8 +255,8 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
 
     Args:
         robot: kinematics and masses.
-        world: truth; gears and links give way, the clamp has no part.
-        postures: motor angles that are held ``(p, n)`` [rad].
+        world: truth; gears and links deflect, there is no clamp.
+        postures: motor angles of the postures ``(p, n)`` [rad].
         masses: hung one after the other in each posture ``(m,)`` [kg].
         lever: where the masses' centre hangs in the tool frame ``(3,)`` [m].
         rng: for the tracker's noise.

@@ -1,4 +1,4 @@
-"""Truth of a clamped arm: what gives way, what scatters, whose clock runs how."""
+"""True settings of a clamped arm: compliances, noise, and errors of the clocks."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class ClampWorld:
-    """Truth of a clamped arm; every effect can be switched off by a zero (``np.inf`` for a stiffness).
+    """True settings of a clamped arm; a zero switches an effect off (``np.inf`` for a stiffness).
 
     Attributes:
         stiffness: gear stiffness ``(n,)`` [N m/rad].
         link_stiffness: bending stiffness of each link, the same about both axes across its joint axis ``(n,)``
             [N m/rad].
-        environment: translational [N/m] and rotational [N m/rad] stiffness of what the flange is clamped to.
+        environment: translational [N/m] and rotational [N m/rad] stiffness of the environment that the flange is
+            clamped to.
         friction: dry friction of the motors as a share of the torque limit.
         presliding: motor motion over which friction builds up, joint side [rad].
         force_control: relative error of each motor's shift under force control; wrench components that should be
@@ -75,15 +76,15 @@ class ClampWorld:
             stiffness = np.array(KR500_STIFFNESS)
         else:
             stiffness = World.default(robot).per_joint("stiffness", robot.n)
-        # Assumed: links bend little, the long ones of joints 2 and 3 and the slim one of joint 4 most.
+        # Assumed: links are stiff; the long ones of joints 2 and 3 and the slim one of joint 4 are the softest.
         links = 40 * np.max(stiffness) * np.resize([1.5, 0.6, 1.0, 0.7, 1.5, 2.5], robot.n)
-        # A bench that belongs to the arm: about 0.2 % of what the whole arm gives.
+        # A bench built for the arm: its compliance is about 0.2 % of the whole arm's.
         hard = 500 * float(np.max(stiffness)) / reach_at_home(robot)**2
         return cls(stiffness, links, (hard, 0.4 * hard))
 
     @classmethod
     def from_table(cls, robot: Robot, table: dict[str, Any], file: str | None = None) -> ClampWorld:
-        """See ``World.from_table``: the default of ``robot`` changed; one number stands for all joints."""
+        """The default world of ``robot`` changed by a table, one number for all joints; see ``World.from_table``."""
         default = cls.default(robot)
         known = tuple(field.name for field in fields(cls))
         with found_in(file):

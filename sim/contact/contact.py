@@ -1,11 +1,11 @@
-"""Contact of the tool's tip with a surface whose shape only the simulator has, on the simulated arm.
+"""Contact of the simulated arm's tool tip with a surface whose shape only the simulator knows.
 
 The tip is a spring on the tool frame's origin, pressed along the surface normal n and dragged against dry friction:
 
     F = max(0, E δ + D δ̇) n − μ F_n v_t / √(|v_t|² + v_0²)
 
 δ is how deep the undeformed tip would be in the surface. The force acts on PyBullet's link before each 0.5 ms step, so
-it bends gears and slows joints as any load does.
+it deflects gears and slows joints as any load does.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Tip:
 
 
 class TipContact:
-    """Keeps the tip of an arm's tool out of a surface, as long as the object is attached.
+    """Keeps the tip of an arm's tool out of a surface while the object is attached.
 
     Args:
         arm: gets the forces; its ``step_hook`` is taken.
@@ -125,7 +125,7 @@ class TipContact:
                                         physicsClientId=arm.client)
 
     def history(self) -> dict[str, Array]:
-        """The contact every 0.5 ms; of a long run its columns lie in files and are read when used.
+        """The contact quantities every 0.5 ms; in a long run they lie in files and are read when used.
 
         Keys: ``t (N,)`` [s], ``normal`` force ``(N,)`` [N], ``force`` on the tip in the base frame ``(N, 3)`` [N],
         ``height`` of the surface ``(N,)`` and ``tip (N, 3)`` in plane coordinates [m].
@@ -178,7 +178,7 @@ def _contact(tip: Array, before: Array, R: Array, origin: Array, law: Array, wav
 
 @dataclass(frozen=True)
 class ForceSensorSettings:
-    """Truth of the sensor and of the tool that it carries.
+    """True errors of the force sensor, and the tool that it carries.
 
     Attributes:
         rate: [Hz].
@@ -187,7 +187,7 @@ class ForceSensorSettings:
         bias: standard deviations from which the constant bias of force [N] and moment [N m] is drawn.
         mass: of the tool behind the sensor [kg].
         com: its centre in the tool frame ``(3,)`` [m].
-        drift: what the bias has changed by since calibration ``(6,)`` [N, N m]; none if empty.
+        drift: change of the bias since calibration ``(6,)`` [N, N m]; none if empty.
         lie: from and to [s]: the sensor reports nonsense; none if empty.
     """
 
@@ -209,7 +209,7 @@ class ForceSensorSettings:
 
 
 class ForceSensor:
-    """Samples at an even rate on its own schedule; ``rng`` draws bias, noise and jitter."""
+    """Samples a wrench at an even rate on its own schedule; ``rng`` draws bias, noise and jitter."""
 
     def __init__(self, settings: ForceSensorSettings, rng: np.random.Generator) -> None:
         self.settings, self._rng = settings, rng

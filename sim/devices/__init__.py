@@ -1,1 +1,1 @@
-"""The other ends of interfaces to real devices."""
+"""Simulated devices: the other ends of the interfaces to real ones."""

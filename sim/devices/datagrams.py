@@ -1,4 +1,4 @@
-"""Datagrams of a simulated controller to a program whose port may not be open yet."""
+"""Sends datagrams of a simulated controller to a program whose port may not be open yet."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _AGAIN = 0.005
 
 def sent_when_open(link: socket.socket, pieces: Sequence[bytes], end: float,
                    stopped: Callable[[], bool] = lambda: False) -> None:
-    """Sends datagrams to the peer of a connected socket, again for as long as its system says that no one listens.
+    """Sends datagrams to the peer of a connected socket, again while the system reports that no one listens.
 
     A controller in lockstep sends once and waits; what it sent before the program listens would be lost, and the two
     would wait for each other.
@@ -22,7 +22,7 @@ def sent_when_open(link: socket.socket, pieces: Sequence[bytes], end: float,
         link: connected to where they go.
         pieces: the datagrams.
         end: until when they are sent again, by ``time.perf_counter`` [s]; at least once.
-        stopped: asked before each further attempt.
+        stopped: checked before each further attempt.
     """
     while True:
         try:

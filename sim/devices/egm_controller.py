@@ -27,7 +27,7 @@ Field = tuple[int, int | float | bytes]
 
 
 def packed(fields: list[Field]) -> bytes:
-    """A message of its fields; whole numbers, floats and messages within.
+    """Encodes a message from its fields: whole numbers, floats and nested messages.
 
     >>> packed([(1, 300), (2, packed([(1, 1)]))]).hex()
     '08ac0212020801'
@@ -44,7 +44,7 @@ def packed(fields: list[Field]) -> bytes:
 
 
 def unpacked(message: bytes) -> Iterator[Field]:
-    """The fields of a message one by one; raises ValueError for what is none."""
+    """Decodes the fields of a message one by one; raises ValueError for a malformed one."""
     at = 0
     while at < len(message):
         key, at = _read_varint(message, at)
@@ -101,7 +101,7 @@ RAPID_STOPPED, RAPID_RUNNING = 1, 2
 
 def robot_message(number: int, ms: int, measured: Array, planned: Array, *, force: Array | None = None,
                   motors: int = ON, mci: int = MCI_RUNNING, rapid: int = RAPID_RUNNING) -> bytes:
-    """What the controller says in a cycle.
+    """Encodes the controller's message of a cycle.
 
     Args:
         number, ms: of the message, and the controller's time [ms].
@@ -123,7 +123,7 @@ def robot_message(number: int, ms: int, measured: Array, planned: Array, *, forc
 
 
 def sensor_joints(message: bytes) -> Array | None:
-    """The reference that an answer asks for ``(n,)`` [deg]; None where it asks for none, or is none."""
+    """The reference joints of an answer ``(n,)`` [deg]; None where it has none, or is malformed."""
     angles: list[float] = []
     try:
         fields = dict(unpacked(message))
@@ -161,7 +161,7 @@ Disturbance = Callable[[int, bytes], list[bytes]]
 
 @dataclass
 class EgmRun:
-    """What a controller saw.
+    """What a simulated controller measured and received in a run.
 
     Attributes:
         commands: references of every cycle ``(n,)`` [rad].
@@ -175,7 +175,7 @@ class EgmRun:
 
 
 class EgmController:
-    """Sends its state every cycle and takes the joints of each answer as reference; without one the last holds.
+    """Sends its state every cycle and follows the joints of each answer; without an answer it keeps the last ones.
 
     Args:
         arm: the arm; its posture now is where EGM begins.
@@ -187,8 +187,8 @@ class EgmController:
         disturbance: see ``Disturbance``; None sends every message as it is.
 
     Attributes:
-        motors, mci, rapid: states that are told; a test changes them.
-        force: wrench that is told ``(6,)``; None for none.
+        motors, mci, rapid: states that are reported; a test changes them.
+        force: reported wrench ``(6,)``; None for none.
     """
 
     def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, timeout: float | None = 0.3, patience: int = 25,
@@ -204,7 +204,7 @@ class EgmController:
         self._stopped.set()
 
     def message(self, number: int, state: RobotState, planned: Array) -> bytes:
-        """The message of a cycle.
+        """Encodes the message of a cycle from the state and the planned joints.
 
         Args:
             number: of the cycle.
@@ -215,7 +215,7 @@ class EgmController:
                              force=self.force, motors=self.motors, mci=self.mci, rapid=self.rapid)
 
     def answer(self, link: socket.socket, end: float) -> Array | None:
-        """The reference of the newest answer ``(n,)`` [rad] that is there by ``end`` [s]; None without one.
+        """The reference of the newest answer ``(n,)`` [rad] received by ``end`` [s]; None without one.
 
         Args:
             link: socket that the message went through.
@@ -238,7 +238,7 @@ class EgmController:
         return newest
 
     def run(self, cycles: int = 1_000_000) -> EgmRun:
-        """Plays up to ``cycles`` cycles, fewer if answers stop coming or ``stop`` is called."""
+        """Simulates up to ``cycles`` cycles, fewer if answers stop coming or ``stop`` is called."""
         run, silent = EgmRun(ended="all cycles played"), 0
         reference = self.arm.truth.q_m.copy()
         state = RobotState(self.arm.t, reference, np.zeros(self.arm.robot.n))
@@ -250,7 +250,7 @@ class EgmController:
                 sent = [message] if self.disturbance is None else self.disturbance(k, message)
                 end = time.perf_counter() + (self.arm.t_ipo if self.timeout is None else self.timeout)
                 sent_when_open(link, sent, end, self._stopped.is_set)
-                # By its clock it listens whatever it has sent.
+                # With its own clock it listens whatever it has sent.
                 wanted = self.answer(link, end) if sent or self.timeout is None else None
                 if self._stopped.is_set():
                     run.ended = "stopped"

@@ -30,7 +30,7 @@ Delivered = Callable[[int], list[float]]
 
 @dataclass
 class Ros2Run:
-    """What a controller saw.
+    """What the simulated controllers received in a run.
 
     Attributes:
         commands: references of every cycle ``(n,)`` [rad].
@@ -52,14 +52,14 @@ class Ros2Arm:
         domain: ``ROS_DOMAIN_ID``; None for that of the environment.
         shuffled: order in which joint states name the joints; that of the URDF if None.
         reliable: whether joint states are reliable.
-        durable: whether the controllers ask for publishers that keep what was sent (``transient_local``).
+        durable: whether the controllers require publishers that keep their messages (``transient_local``).
         delivered: see ``Delivered``; None delivers each at once.
         degrees: whether joint states are degrees, as of a node with an error.
         prefix: before the names of the joints, as where two arms are described.
 
     Attributes:
-        run: what has happened.
-        frozen: while true time stands: stamps do not go on.
+        run: log of the run.
+        frozen: while true the time stamps do not advance.
         silent: while true no joint state is published.
         timeout: how long a command is waited for where no clock decides [s].
     """
@@ -102,7 +102,7 @@ class Ros2Arm:
         self._stopped, self._k, self._stamp = False, 0, 100.0
 
     def publish_states(self) -> None:
-        """Makes the publisher of the joint states, ``states``, anew."""
+        """Creates the publisher of the joint states, ``states``, anew."""
         self.states = self.node.create_publisher(self._kind, "joint_states", self._quality)
 
     def stop(self) -> None:
@@ -110,11 +110,11 @@ class Ros2Arm:
         self._stopped = True
 
     def play(self, *, slowed: float = 1.0) -> Ros2Run:
-        """Plays in real time until ``stop``.
+        """Simulates in real time until ``stop``.
 
         Args:
-            slowed: how many times as long every cycle takes; 0: a cycle ends when a command has come, so that no busy
-                computer decides what is played.
+            slowed: how many times as long every cycle takes; 0: a cycle ends when a command has come, so that the
+                result does not depend on the computer's load.
         """
         T = self.arm.t_ipo
         due = time.perf_counter()
@@ -141,7 +141,7 @@ class Ros2Arm:
             self._deliver()
             before = self.run.heard
             self._executor.spin_once(timeout_sec=_MORE)
-            # A command does not say which state it answers: of several, to states before, the last one counts.
+            # A command does not say which state it answers: of several for earlier states, the last one is used.
             if self.run.heard == before > heard:
                 return
 
@@ -151,7 +151,7 @@ class Ros2Arm:
         try:
             state = self.arm.cycle(reference)
         except LimitError as error:
-            # As hardware does: it stands, and says why.
+            # As real hardware: it stops and reports why.
             self.run.refused, self._stopped = str(error), True
             return
         self.run.commands.append(reference)
@@ -159,21 +159,21 @@ class Ros2Arm:
 
     @property
     def led(self) -> bool:
-        """Whether a trajectory reaches into the coming cycle."""
+        """Whether a trajectory extends into the coming cycle."""
         return bool(self._points) and self._points[-1][0] > self._stamp + 1e-9
 
     def reference(self) -> Array:
-        """What the controllers want of the arm in the coming cycle ``(n,)`` [rad]."""
+        """Reference of the controllers for the coming cycle ``(n,)`` [rad]."""
         if self._points:
             self._along()
         return self._reference.copy()
 
     def rest(self, q: Array) -> None:
-        """The controllers begin anew: the arm rests at ``q (n,)`` [rad]."""
+        """Resets the controllers with the arm at rest at ``q (n,)`` [rad]."""
         self._points, self._reference, self._speed = [], q.copy(), np.zeros_like(q)
 
     def listen(self, end: float) -> bool:
-        """Takes commands until one is there, or ``end`` by ``time.perf_counter`` [s]; whether one was."""
+        """Waits for a command until ``end`` by ``time.perf_counter`` [s]; whether one arrived."""
         heard = self.run.heard
         while self.run.heard == heard and (remaining := end - time.perf_counter()) > 0:
             self._deliver()
@@ -181,7 +181,7 @@ class Ros2Arm:
         return self.run.heard > heard
 
     def tell(self, state: RobotState) -> None:
-        """A cycle is over: publishes the state of the arm, with the next stamp."""
+        """Publishes the arm's state at the end of a cycle, with the next stamp."""
         self._state = state
         self._k += 1
         if not self.frozen:
@@ -190,7 +190,7 @@ class Ros2Arm:
             self._publish()
 
     def close(self) -> None:
-        """Leaves the graph."""
+        """Destroys the node, so that it leaves the ROS graph."""
         self._executor.shutdown()
         self.node.destroy_node()
         self._rclpy.shutdown(context=self._context)

@@ -21,7 +21,7 @@ class ImageTopic:
 
     Args:
         name: full name of the topic of the pictures.
-        camera: size, camera matrix and distortion as they are known of the camera.
+        camera: size, camera matrix and distortion of the calibrated camera.
 
     Raises:
         InputError: ROS 2 does not start here, or a topic cannot be called so.
@@ -39,7 +39,7 @@ class ImageTopic:
                                            start_parameter_services=False)
             self._images = self._node.create_publisher(Image, name, 5)
             self._infos = self._node.create_publisher(CameraInfo, f"{name.rpartition('/')[0]}/camera_info", 5)
-        except Exception as error:  # the library's own, whose kinds differ between middlewares
+        except Exception as error:  # exceptions of the middleware, whose types differ
             raise InputError(f"no pictures can be published there ({' '.join(str(error).split())})", field="topic",
                              value=name[:80]) from error
         P = np.column_stack([camera.K, np.zeros(3)])
@@ -49,7 +49,7 @@ class ImageTopic:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody listens to the pictures."""
+        """Whether the pictures have a subscriber."""
         return bool(self._images.get_subscription_count() > 0)
 
     def send(self, stamp: float, gray: NDArray[np.uint8]) -> None:
@@ -60,7 +60,7 @@ class ImageTopic:
             gray: gray values ``(height, width)``.
         """
         image: Any = self._kind(height=gray.shape[0], width=gray.shape[1], encoding="mono8", step=gray.shape[1])
-        # An array of bytes is taken as it is; anything else is looked at byte by byte.
+        # An array of bytes is accepted as it is; other types are checked byte by byte.
         image.data = array("B", gray.tobytes())
         for message in (image, self._info):
             message.header.frame_id = FRAME
@@ -69,6 +69,6 @@ class ImageTopic:
         self._infos.publish(self._info)
 
     def close(self) -> None:
-        """Leaves the graph."""
+        """Destroys the node, so that it leaves the ROS graph."""
         self._node.destroy_node()
         self._rclpy.shutdown(context=self._context)

@@ -2,8 +2,8 @@
 
     python -m sim.devices.rsi_controller path.csv --robot kr6
 
-plays a controller whose arm stands at the first point of the path. Written from the protocol alone, without the code
-that parses and formats on the other side.
+simulates a controller whose arm stands at the first point of the path. Written from the protocol alone, without the
+code that parses and formats on the other side.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Disturbance = Callable[[int, bytes], list[bytes]]
 
 @dataclass(frozen=True)
 class ControllerRun:
-    """What a controller saw.
+    """What a simulated controller measured and received in a run.
 
     Attributes:
         commands: commanded axis angles of every cycle ``(N, n)`` [deg].
@@ -60,20 +60,20 @@ IPOC = 4208163634
 class RsiController:
     """Sends ``<Rob>`` every cycle and moves the arm by the axis corrections of the answers.
 
-    Without an answer the arm is held where it was commanded last (``HOLDON``).
+    Without an answer the arm stays at its last command (``HOLDON``).
 
     Args:
         arm: the arm; its posture now is where RSI begins.
         address: where the server listens.
         relative: whether corrections add up.
-        sign: how the controller counts its axes against the URDF ``(n,)``.
+        sign: direction of the controller's axes against the URDF's, 1 or -1 ``(n,)``.
         timeout: how long an answer is waited for [s], the simulated time standing still meanwhile; None for as long as
             a cycle takes, as a real controller does.
-        patience: cycles in a row without an answer after which it ends; fifty times as many before the first answer,
-            which a server that compiles its code takes half a minute to give.
+        patience: cycles in a row without an answer after which it ends; fifty times as many before the first answer, as
+            a server that compiles its code takes half a minute for it.
         disturbance: see ``Disturbance``; None sends every packet as it is.
         pose: how corrections of the pose move it; None where corrections are those of the axes.
-        external: positions of its external axes [deg or mm], which stand still.
+        external: positions of its external axes [deg or mm], which do not move.
     """
 
     def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool = False,
@@ -90,7 +90,7 @@ class RsiController:
         self._stopped.set()
 
     def run(self, cycles: int = 1_000_000) -> ControllerRun:
-        """Plays up to ``cycles`` cycles, fewer if answers stop coming."""
+        """Simulates up to ``cycles`` cycles, fewer if answers stop coming."""
         start = self.sign * np.degrees(self.arm.truth.q_m)
         command, state = start.copy(), RobotState(self.arm.t, self.arm.truth.q_m, np.zeros(self.arm.robot.n))
         commands, answered = [], []
@@ -129,7 +129,7 @@ class RsiController:
         return ControllerRun(np.array(commands), np.array(answered), ended)
 
     def corrected(self, command: Array, start: Array, correction: Array) -> Array:
-        """Commanded axis angles ``(n,)`` [deg] with a correction; ValueError where a pose has none.
+        """Commanded axis angles ``(n,)`` [deg] with a correction; ValueError where a pose cannot be reached.
 
         Args:
             command, start: in force ``(n,)`` [deg], and when RSI began.
@@ -169,8 +169,8 @@ class RsiController:
         Args:
             link: socket that the packet went through.
             stamp: IPOC of the cycle.
-            end: until when it has to come, by ``time.perf_counter`` [s]; one that was there by then counts, even if
-                this program was not let run to read it.
+            end: until when it has to come, by ``time.perf_counter`` [s]; one that arrived by then is used, even if this
+                program read it later.
         """
         while not self._stopped.is_set():
             remaining = end - time.perf_counter()
@@ -204,7 +204,7 @@ class RsiController:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Plays a controller on this computer in real time, until the server stops answering.
+    """Simulates a controller on this computer in real time, until the server stops answering.
 
     Returns the exit code: 1 where not one cycle was answered.
     """

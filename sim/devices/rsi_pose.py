@@ -1,4 +1,4 @@
-"""What a KUKA controller makes of corrections of its tool's pose: POSCORR behind an ETHERNET object.
+"""Corrections of the tool's pose in a KUKA controller: POSCORR behind an ETHERNET object.
 
 Written from what is commonly known of POSCORR and of KUKA's angles, not from a manual's text, and without the code of
 the client's side. That rotations of increments multiply is assumed. A pose is X, Y, Z [mm] and A, B, C [deg], turns
@@ -26,7 +26,7 @@ class PoseMotion:
         robot: whose geometry the controller knows.
         tool: of the program, on the flange: X, Y, Z [mm], A, B, C [deg].
         base: of the program, in the frame of the arm's foot, alike.
-        in_tool: whether corrections are told in the tool; else in the base.
+        in_tool: whether corrections are given in the tool frame; otherwise in the base frame.
     """
 
     def __init__(self, robot: Robot, tool: Array | None = None, base: Array | None = None, in_tool: bool = False

@@ -1,4 +1,4 @@
-"""One client of a simulated UR controller: what it asks for is answered, what it may not do ends its connection."""
+"""One client of a simulated UR controller: answers its requests, and closes the connection on an error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 _HEADER = struct.Struct(">HB")
-_PIECE = 1 << 16  # bytes that are read at a time
+_PIECE = 1 << 16  # bytes per read
 _UNREAD = 1 << 17
 """What may wait for a client that does not read [bytes]; a thousand data packages of the usual fields."""
 _RECIPES = 255
@@ -24,12 +24,12 @@ Inputs = dict[str, tuple[float, ...]]
 
 
 class ClientError(Exception):
-    """The client is let go; the text says why."""
+    """The client's connection is closed for the reason in the text."""
 
 
 @dataclass
 class RtdeFaults:
-    """What the controller shall do that it should not, by the number of the cycle.
+    """Faults of the simulated controller, by the number of the cycle.
 
     Attributes:
         protocols: versions of the protocol it knows.
@@ -37,11 +37,11 @@ class RtdeFaults:
         in_use: input fields another client writes.
         skips: cycles whose data package is left out.
         protective_stop: cycle from which the arm is stopped by its safety system.
-        speed: of the slider, by the cycle from which it stands there; the first one is 1.
+        speed: speed of the slider, by the cycle from which it applies; the first one is 1.
         pauses: cycles in which the program is paused.
         mounted: gravity in the frame of the arm's base (3) [m/s²].
         program_begins, program_ends: cycles from which the program runs, and does not any more.
-        clock_stands: cycle from which the time stamps stay what they are.
+        clock_stands: cycle from which the time stamps do not advance.
         disconnects: cycle at which it closes the connection.
         says: text it sends at the start.
     """
@@ -66,7 +66,7 @@ class RtdeClient:
 
     Args:
         link: accepted from the listener.
-        faults: what of the agreement goes wrong.
+        faults: faults of the controller.
         taken: whether another client writes a field.
 
     Attributes:
@@ -88,9 +88,9 @@ class RtdeClient:
         self._waiting, self._unsent = b"", b""
 
     def read(self) -> list[Inputs]:
-        """Answers what has been asked, and returns what was written, data package by data package.
+        """Answers the client's requests, and returns the inputs that it wrote, one per data package.
 
-        Raises ``ClientError`` where it has left, or is no sound client.
+        Raises ``ClientError`` where the client has disconnected, or sends what the protocol forbids.
         """
         try:
             piece = self.link.recv(_PIECE)
@@ -108,7 +108,7 @@ class RtdeClient:
         return [inputs for inputs in written if inputs is not None]
 
     def tell(self, payload: bytes) -> None:
-        """A data package with the values of ``outputs``."""
+        """Sends a data package with the values of ``outputs``."""
         self._send("U", b"\1" + payload)
 
     def close(self) -> None:
@@ -234,11 +234,12 @@ _INPUTS = {
     "DOUBLE": "speed_slider_fraction standard_analog_output_0 standard_analog_output_1",
     "VECTOR6D": "external_force_torque"}
 _REGISTER = re.compile(r"(?P<way>input|output)_(?P<kind>bit|int|double)_register_(?P<number>[0-9]{1,3})")
-_REGISTERS = {"bit": ("BOOL", range(64, 128)), "int": ("INT32", range(48)), "double": ("DOUBLE", range(48))}  # UR's
+# Index ranges of UR's registers.
+_REGISTERS = {"bit": ("BOOL", range(64, 128)), "int": ("INT32", range(48)), "double": ("DOUBLE", range(48))}
 
 
 def count(kind: str) -> int:
-    """How many numbers a value of a type has."""
+    """Number of values of an RTDE type."""
     return int(CODES[kind][:-1] or 1)
 
 

@@ -1,8 +1,8 @@
 """A UR controller's side of RTDE around a simulated arm: for tests, and to try a client without a robot.
 
 Written from Universal Robots' public description of the protocol alone, without the code of the client's side. The
-controller runs the program of docs/rsi.md: it hands what it finds in the input registers to its arm, every cycle. As a
-real one it serves several clients at a time; the one that writes the program's registers leads the arm.
+controller runs the program of docs/rsi.md: it commands the values of the input registers to its arm, every cycle. As a
+real one it serves several clients at a time; the one that writes the program's registers commands the arm.
 """
 
 from __future__ import annotations
@@ -34,21 +34,20 @@ _LOOK = 0.05
 
 
 class RtdeController:
-    """Listens from the beginning, and serves clients while it is asked to; raises ``OSError`` where it cannot.
+    """Listens from its creation on, and serves clients while it runs; raises ``OSError`` where it cannot listen.
 
     Args:
         arm: the arm; it has to have six joints.
         faults: see ``RtdeFaults``.
         register: first of the input registers its program reads.
-        timeout: how long a command is waited for in each cycle of ``run`` [s]; the simulated time stands still
-            meanwhile.
+        timeout: time to wait for a command in each cycle of ``run`` [s], during which simulated time does not advance.
         address: where to listen; port 0 for any free one.
 
     Attributes:
         address: where it listens.
-        commands: what the arm was commanded in each cycle of ``run``.
+        commands: commands to the arm in each cycle of ``run``.
         inputs: every value it was given by name, the last one each.
-        ended: why the client that led the arm does not any more, and what others were let go for.
+        ended: why connections were closed, that of the commanding client and others.
         playing: whether the program runs.
     """
 
@@ -69,7 +68,7 @@ class RtdeController:
 
     @property
     def led(self) -> bool:
-        """Whether a client is there that writes the program's registers."""
+        """Whether a client is connected that writes the program's registers."""
         return self._leader is not None
 
     @property
@@ -85,14 +84,14 @@ class RtdeController:
         self._stopped.set()
 
     def close(self) -> None:
-        """Lets every client go and listens no more."""
+        """Closes all connections and stops listening."""
         for client in list(self._clients):
             self._leave(client)
         self._selector.close()
         self._listener.close()
 
     def run(self) -> None:
-        """Plays cycles from a client's start until the last one has left or ``stop`` is called."""
+        """Simulates cycles from a client's start until the last one has left or ``stop`` is called."""
         held = self.arm.truth.q_m.copy()
         state, begun = RobotState(self.arm.t, held, np.zeros(6)), False
         while not self._stopped.is_set():
@@ -108,7 +107,7 @@ class RtdeController:
             stopped = self.faults.protective_stop is not None and k >= self.faults.protective_stop
             if (answered or self.speed(k) < 1.0) and self.commanded is not None and not (
                     stopped or k in self.faults.pauses):
-                # servoj's own time runs as slowly as the slider has it: what is commanded is reached later.
+                # servoj's own time runs as slowly as the slider says, so commands are reached later.
                 held = held + self.speed(k) * (self.commanded - held)
             self.commands.append(held)
             try:
@@ -123,17 +122,17 @@ class RtdeController:
         return next((speed for begin, speed in sorted(self.faults.speed.items(), reverse=True) if begin <= k), 1.0)
 
     def exchange(self, state: RobotState, held: Array, end: float) -> bool:
-        """Tells every client the state; returns whether the one that leads has written since the last time.
+        """Sends every client the state; returns whether the commanding client has written since the last call.
 
         Args:
             state: of the arm.
             held: where it is commanded ``(n,)`` [rad].
-            end: until when an answer is waited for, by ``time.perf_counter`` [s]; without a client that leads nothing
-                is waited for but what may come in ``run``.
+            end: time until which to wait for an answer, by ``time.perf_counter`` [s]; without a commanding client only
+                ``run`` waits.
         """
         self._answered = False
         self._listen(0.0, lambda: True)
-        # What comes late stands in the registers all the same; the answer to this cycle is waited for nevertheless.
+        # A late answer to an earlier cycle stays in the registers; the answer to this cycle is awaited all the same.
         late, self._answered = self._answered, False
         k, self._cycle = self._cycle, self._cycle + 1
         if k in self.faults.skips:
@@ -147,7 +146,7 @@ class RtdeController:
         return late or self._answered
 
     def let_go(self, reason: str) -> None:
-        """Ends the connection of the client that leads; its program begins anew."""
+        """Closes the connection of the commanding client; its program starts anew."""
         if self._leader is not None:
             self._leave(self._leader, reason)
 

@@ -1,4 +1,4 @@
-"""A controller in real time around a simulated arm, session after session: waits, is led, stops, goes back."""
+"""A real-time controller around a simulated arm, session after session: waits, follows commands, stops, returns."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ _SHARE = 0.25
 
 
 class Carried(Protocol):
-    """A device on the arm."""
+    """A device that moves with the simulated arm."""
 
     def carry(self, t0: float, t1: float, host: float) -> None:
-        """The arm has moved.
+        """Notifies the device that the arm has moved from ``t0`` to ``t1`` [s].
 
         Args:
             t0: since when, of the session [s].
@@ -57,13 +57,13 @@ class Carried(Protocol):
 
 @dataclass
 class Session:
-    """What happened from the first answer to the stop.
+    """Statistics of one session, from the first answer to the stop.
 
     Attributes:
         commands: commanded joint angles of every cycle ``(n,)`` [rad].
         answered, late: cycles with an answer in time, and without.
-        held_up: cycles that began late because this program was not let run, or the network stood still.
-        slipped: how often this program itself fell so far behind that its clock had to stand still.
+        held_up: cycles that began late because this program or the network was blocked.
+        slipped: how often this program was so late that its clock was stopped meanwhile.
         ended: why it ended.
     """
 
@@ -76,21 +76,20 @@ class Session:
 
 
 class ServedArm:
-    """The controller's side of RSI, for ever.
+    """The controller's side of RSI, serving one session after the other.
 
     Args:
         arm: the arm, at rest at its start.
         address: where the server (the follower) listens.
-        relative: whether corrections add up; without an answer the last is then taken again (``HOLDON`` 1), otherwise
-            the arm is held where it was commanded.
-        unkind: what the network does to packets and answers, and clocks: the controller's runs half as slow as its
-            devices' run fast.
-        rng: draws what the network does.
+        relative: whether corrections are increments; then without an answer the last one is repeated (``HOLDON`` 1),
+            otherwise the arm stays at its last command.
+        unkind: simulated faults of network and clocks: the controller's runs half as slow as its devices' run fast.
+        rng: draws the network's faults.
         carried: devices on the arm.
-        sign: how the controller counts its axes against the URDF ``(n,)``.
+        sign: direction of the controller's axes against the URDF's, 1 or -1 ``(n,)``.
 
     Attributes:
-        anew: called when the arm's time has begun anew, for a next session.
+        anew: called when the arm's time restarts for the next session.
     """
 
     anew: Callable[[], None] = staticmethod(lambda: None)
@@ -112,7 +111,7 @@ class ServedArm:
         self._stopped = True
 
     def sessions(self, most: int, done: Callable[[Session], None]) -> None:
-        """Session after session, ``most`` of them, 0 for no end; ``done`` is called before the arm goes back."""
+        """Serves session after session, ``most`` of them, 0 for no end; ``done`` is called before the arm returns."""
         count = 0
         with self._wired():
             while not self._stopped and (most == 0 or count < most):
@@ -195,7 +194,7 @@ class ServedArm:
         u = self._unkind
         lost, twice, late = self._rng.random(3) < (u.loss, u.doubled, u.late_share)
         if late:
-            # The whole controller stands still for that long; nothing overtakes in a cable.
+            # The whole controller is delayed by that time; packets in a cable do not overtake each other.
             time.sleep(u.late)
         for _ in range(0 if lost else 2 if twice else 1):
             try:
@@ -213,7 +212,7 @@ class ServedArm:
         if remaining > 0:
             time.sleep(remaining)
         elif remaining < -_BEHIND:
-            # This program was not let run: its clock stands still with it, as the world does.
+            # This program was blocked: its clock is stopped meanwhile, as if the world had stopped.
             self._due = time.perf_counter()
             if session is not None and session.commands:
                 session.slipped += 1
@@ -254,10 +253,10 @@ class ServedArm:
 # A UR controller in real time around a simulated arm, client after client.
 
 class ServedRtde(ServedArm):
-    """As ``ServedArm``, behind RTDE: ``address`` is where it listens, from the beginning.
+    """A ``ServedArm`` with the interface RTDE; ``address`` is where it listens, from its creation on.
 
-    A session begins with the first command of a client that leads the arm, and ends when it leaves, is silent, or
-    commands what the controller refuses. Other clients are told the state all the time.
+    A session begins with the first command of a client that commands the arm, and ends when it leaves, is silent, or
+    commands what the controller refuses. Other clients receive the state all the time.
     """
 
     _awaited = "command"
@@ -268,7 +267,7 @@ class ServedRtde(ServedArm):
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """Host and port on which it listens."""
         return self._controller.address
 
     @contextmanager
@@ -311,7 +310,7 @@ class ServedRtde(ServedArm):
 # Controllers of ABB and of ROS 2 in real time around a simulated arm, session after session.
 
 class ServedEgm(ServedArm):
-    """As ``ServedArm``, behind EGM: ``address`` is where the follower listens."""
+    """A ``ServedArm`` with the interface EGM; ``address`` is where the follower listens."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -333,9 +332,9 @@ class ServedEgm(ServedArm):
 
 
 class ServedRos2(ServedArm):
-    """As ``ServedArm``, behind ROS 2's controllers, in a namespace; joint states are published all the time.
+    """A ``ServedArm`` with ROS 2's controllers, in a namespace; joint states are published all the time.
 
-    Without a command the forward controller holds the arm; a trajectory goes on as far as it reaches.
+    Without a command the forward controller keeps the arm in place; a trajectory is continued to its end.
 
     Args:
         args, kwargs: see ``ServedArm``; there is no address.
@@ -372,5 +371,5 @@ class ServedRos2(ServedArm):
     def _moved(self, q: Array, session: Session | None = None) -> None:
         super()._moved(q, session)
         self._controllers.tell(self._state)
-        # Who led the arm may have sent more: nobody is listened to.
+        # The commanding client may have sent more; these commands are discarded.
         self._controllers.listen(time.perf_counter() + 1e-3)

@@ -1,4 +1,4 @@
-"""The device's side of our own stream (docs/follow.md), for simulated cameras and force sensors.
+"""The device side of the project's own stream (docs/follow.md), for simulated cameras and force sensors.
 
 Written from the table of the wire format alone, without the code that parses on the other side.
 """
@@ -23,11 +23,11 @@ _HEADER = struct.Struct(">2sBBId")
 _CAMERA, _FIELD, _SENSOR, _WRENCH, _ASK, _TOLD = 1, 2, 3, 4, 5, 6  # kinds of packages
 _MOST = 8
 """Clients at a time."""
-_QUESTION = _HEADER.size + 8  # bytes of one
+_QUESTION = _HEADER.size + 8  # bytes of a clock request
 
 
 def camera_description(width: int, height: int, rate: float) -> bytes:
-    """Payload of the package that says what the camera is; nothing is said of the lens.
+    """Payload of the package that describes the camera, without its lens.
 
     Args:
         width: columns [px].
@@ -41,7 +41,7 @@ def field_payload(number: int, width: int, height: int, gray: bytes) -> bytes:
     """Payload of a picture.
 
     Args:
-        number: counts the pictures.
+        number: running number of the picture.
         width: columns [px].
         height: rows [px].
         gray: gray values row by row.
@@ -50,7 +50,7 @@ def field_payload(number: int, width: int, height: int, gray: bytes) -> bytes:
 
 
 class StreamServer:
-    """Sends packages to every client there is, and answers their questions for the clock.
+    """Sends packages to every connected client, and answers their clock requests.
 
     Args:
         host, port: address of ours to listen on, and TCP port; 0 for any free one.
@@ -68,17 +68,17 @@ class StreamServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """Host and port on which it listens."""
         host, port = self._listener.getsockname()
         return str(host), int(port)
 
     @property
     def watched(self) -> bool:
-        """Whether there is a client."""
+        """Whether a client is connected."""
         return bool(self._clients)
 
     def send(self, kind: int, stamp: float, payload: bytes) -> None:
-        """One package to every client; one that does not take it within a tenth of a second is let go.
+        """Sends one package to every client; a client that blocks for a tenth of a second is disconnected.
 
         Args:
             kind: 2 for a field, 4 for a wrench.
@@ -94,7 +94,7 @@ class StreamServer:
                 self._leave(client)
 
     def close(self) -> None:
-        """Stops listening and lets every client go."""
+        """Stops listening and disconnects every client."""
         self._closed = True
         self._listener.close()
         for client in list(self._clients):
@@ -112,7 +112,7 @@ class StreamServer:
                 client.close()
                 continue
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # How long sending waits for a slow client; reading its questions waits again.
+            # Sending waits this long for a slow client; reading its requests sets its own time again.
             client.settimeout(0.1)
             with suppress(OSError):
                 client.sendall(self._hello)
@@ -153,11 +153,11 @@ class StreamServer:
 
 COUNTS_FORCE, COUNTS_TORQUE = 1_000_000, 1_000_000
 """Counts per newton and per newton metre."""
-_MAX = 2**31 - 1  # of a count, an int32
+_MAX = 2**31 - 1  # largest count, an int32
 
 
 class NetFTServer:
-    """Streams records to whoever asked last; on port 0 for any free one."""
+    """Streams records to the client with the last request; port 0 chooses a free one."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -169,19 +169,19 @@ class NetFTServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """Host and port on which it listens."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
 
     def record(self, sample: int, wrench: Array) -> bytes:
-        """The next record, of the sensor's sample of this number: force [N] and moment [N m] ``(6,)``."""
+        """Encodes the next record: number of the sensor's sample, force [N] and moment [N m] ``(6,)``."""
         self._number += 1
         scales = (COUNTS_FORCE,) * 3 + (COUNTS_TORQUE,) * 3
         counts = (max(-_MAX, min(_MAX, round(float(w) * scale))) for w, scale in zip(wrench, scales, strict=True))
         return struct.pack(">IIIiiiiii", self._number % 2**32, sample % 2**32, 0, *counts)
 
     def send(self, record: bytes) -> None:
-        """One record, if somebody has asked."""
+        """Sends one record, if a client has requested the stream."""
         client = self._client
         if client is not None and not self._closed:
             try:
@@ -190,7 +190,7 @@ class NetFTServer:
                 return
 
     def close(self) -> None:
-        """Stops."""
+        """Stops the stream and closes the socket."""
         self._closed = True
         self._socket.close()
 
@@ -209,16 +209,16 @@ class NetFTServer:
                 self._client = client if command == 2 else None if client == self._client else self._client
 
 
-# What clocks and networks do to devices: offset and drift, packets that are late, lost and doubled.
+# Simulated faults of clocks and networks: offset and drift, packets that are late, lost and doubled.
 
 def now() -> float:
-    """This computer's clock, by which everything here is timed [s]."""
+    """Time of this computer's clock ``time.perf_counter``, used for all of these devices [s]."""
     return time.perf_counter()
 
 
 @dataclass(frozen=True)
 class Unkindness:
-    """How bad it is.
+    """Sizes of the simulated faults of clocks and network.
 
     Attributes:
         drift: by how much each device's clock runs fast, with a sign of its own (relative).
@@ -256,12 +256,12 @@ class DeviceClock:
         self._begun, self._offset, self.drift = time.perf_counter() if begun is None else begun, offset, drift
 
     def shows(self, host: float) -> float:
-        """What it shows [s] at ``host`` of this computer's ``time.perf_counter``."""
+        """Reading of the device's clock [s] at ``host`` of this computer's ``time.perf_counter``."""
         return self._offset + (1.0 + self.drift) * (host - self._begun)
 
 
 class Outbox:
-    """Sends what is due when it is due, from a thread of its own; ``rng`` draws what the network does to it."""
+    """Sends data at their due times from a thread of its own; ``rng`` draws the network's faults."""
 
     def __init__(self, unkind: Unkindness, rng: np.random.Generator) -> None:
         self._unkind, self._rng = unkind, rng
@@ -271,7 +271,7 @@ class Outbox:
         self._thread.start()
 
     def put(self, due: float, send: Callable[[], None]) -> None:
-        """``send`` is called at ``due`` of this computer's time, or never, or twice, or later."""
+        """Schedules ``send`` for ``due`` of this computer's time; simulated faults drop, double or delay it."""
         with self._some:
             u = self._unkind
             lost, twice, late = self._rng.random(3) < (u.loss, u.doubled, u.late_share)
