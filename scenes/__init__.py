@@ -1,4 +1,4 @@
-"""Where all is put together: scene files, runner, metrics, reports, viewer and command line.
+"""Applications: scene files, runner, metrics, reports, viewer and command line.
 
 For scripts and regression tests::
 

@@ -1,4 +1,4 @@
-"""The arm of a scene, as its URDF describes it and ready above its work, and the files of its identified models."""
+"""The arm of a scene, as its URDF describes it, and the files of its identified models."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def arm_of(name_or_urdf: str) -> Robot:
-    """The arm that a scene names, so that it can be played whatever its URDF leaves open; errors of ``Robot.load``."""
+    """The arm that a scene names, with defaults for what its URDF lacks; raises the errors of ``Robot.load``."""
     if name_or_urdf in SHIPPED_ARMS or not os.path.isfile(name_or_urdf):
         return Robot.load(name_or_urdf)
     beside = os.path.splitext(name_or_urdf)[0] + ".toml"
@@ -107,7 +107,7 @@ def _room(kinematics: InverseKinematics, size: float, q: Array) -> float:
 # Identified models: the shipped ones, and those of the user's.
 
 def shipped_model(robot_name: str) -> Path:
-    """File of the model that was identified beforehand on recordings of the robot's default world (``make models``)."""
+    """File of the shipped model of a robot, identified on recordings of its default world (``make models``)."""
     return Path(str(resources.files("scenes"))) / "models" / f"{robot_name}.json"
 
 

@@ -1,4 +1,4 @@
-"""The camera on the tool, calibrated by moving it over a piece of the line before the line is followed ([L] 4.4).
+"""Calibrates the camera by moving it over a segment of the line before the line is followed ([L] 4.4).
 
 Only what a real cell has is used: commands and motor angles, the model's gear deflection, camera fields with their time
 stamps, and the reference path near the line.
@@ -42,7 +42,7 @@ BEFORE = 10**7
 def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
                         deflection: GearDeflection | None, at: float, before: SeenBefore,
                         moved: list[RobotState] | None = None) -> HandEye:
-    """The camera that explains all that is seen while the arm moves it over one piece of the line.
+    """Calibrates the camera from fields that it takes while the arm moves it over one segment of the line.
 
     The arm goes from pose to pose through its positional interface; fields are taken at short rests and on the way.
     Raises SceneError where fewer than half of the poses can be reached, or fewer than half of the fields show the line.
@@ -50,14 +50,14 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     Args:
         known: arm, reference path, camera as mounted by hand and detector; where the line really is stays unknown.
         arm: the arm; it is put to rest at the first pose.
-        camera: renders what the true camera sees.
+        camera: the simulated camera.
         deflection: the gears' deflection as the model knows it.
         at: arc length of the reference around which the piece lies [m].
         before: how pictures showed the line before, and where.
-        moved: gets what the controller reports, cycle by cycle.
+        moved: receives the controller's reports, cycle by cycle.
     """
     robot, reference, believed = known.robot, known.reference, known.camera
-    T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
+    T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # the camera's clock runs ahead by a whole number of fields
     fusion, detection = piece_map(reference, at, before), before.detection
     path = JointPath.of(robot, reference)
     postures = calibration_postures(robot, reference, path, believed, at, known.clear, shapes_about(known.scene, robot),
@@ -81,7 +81,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
             late.append((camera.windows(
                 t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), search_windows(believed, prediction, detection),
                 shadow_of(shape, arm, middle), arm.q_at(middle) if camera.shows_arm else None), prediction))
-        # The pose of a time stamp is known once the controller has told of it.
+        # The pose at a time stamp is known once the controller has reported it.
         while late and late[0][0].t_stamp - ahead < k * T:
             fields += 1
             view.look(*late.pop(0), ahead)
@@ -97,14 +97,14 @@ LOOKS = 5
 
 def look_at_line(known: Known, arm: SimulatedArm, camera: RenderedCamera, span: tuple[float, float],
                  rng: np.random.Generator) -> SeenBefore:
-    """Takes pictures of all of the line from above where it ought to be: how it looks and where it is.
+    """Finds place and appearance of the whole line in pictures from above its expected place.
 
     Raises SensingError where no picture shows a line.
 
     Args:
         known: arm, reference path and camera as mounted by hand; where the line really is stays unknown.
         arm: the arm; it is put to rest above each place.
-        camera: renders what the true camera sees.
+        camera: the simulated camera.
         span: arc lengths of the reference between which the line ought to be [m].
         rng: of the pictures' noise.
     """

@@ -1,4 +1,4 @@
-"""Where a camera is, from pictures of a target and a table of poses: the work of ``ideal-robot calibrate``."""
+"""Locates a camera from pictures of a target and a table of poses, for ``ideal-robot calibrate``."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ Target = Callable[[NDArray[np.uint8]], tuple[Array, Array] | None]
 
 @dataclass(frozen=True)
 class Located:
-    """A camera that was located.
+    """A located camera, with the pictures that were used.
 
     Attributes:
         camera: its intrinsics.
         intrinsic_error: root mean square residual of their calibration [px]; None where they were given.
         pose: where it is.
         shown: pictures with the target, by name; ``pose.used`` belongs to these.
-        without: pictures in which it was not found.
+        without: pictures in which the target was not found.
     """
 
     camera: CameraModel
@@ -83,7 +83,7 @@ def located(table: Path, target: Target, mounted: str, intrinsics: Path | None) 
         table: CSV with ``COLUMNS``.
         target: finds the target's points.
         mounted: see ``locate_camera``; errors as of it.
-        intrinsics: JSON with width, height, K and distortion; found from the same pictures if None.
+        intrinsics: JSON with width, height, K and distortion; estimated from the same pictures if None.
 
     Raises:
         InputError: a column, a number or a picture that is missing; pictures of several sizes.

@@ -1,4 +1,4 @@
-"""Scenes of kind ``clamped``: a stiff environment holds the flange, the motors push, and stiffness follows ([J] 4)."""
+"""Scenes of kind ``clamped``: the flange is clamped, the motors push, and stiffness is identified ([J] 4)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ SHARES = (0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5, 0.0)
 
 
 def configurations(scene: ClampedScene, robot: Robot, rng: np.random.Generator) -> Array:
-    """The scene's configurations, or chosen ones ``(c, n)`` [rad].
+    """The scene's clamped configurations, or optimised ones, ``(c, n)`` [rad].
 
     Args:
-        scene: what to play; its own configurations count first [rad].
+        scene: the scene; its own configurations come first [rad].
         robot: the arm, with its limits.
         rng: draws the candidates that configurations are chosen from.
     """
@@ -51,10 +51,10 @@ def configurations(scene: ClampedScene, robot: Robot, rng: np.random.Generator) 
 
 def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array, rng: np.random.Generator
            ) -> tuple[list[Recording], list[ClampTruth]]:
-    """Plays the pushes in every posture, and the payloads where the scene has them.
+    """Simulates the pushes in every posture, and the payloads where the scene has them.
 
     Args:
-        scene, robot: what to play, and the arm.
+        scene, robot: the scene, and the arm.
         world: gears, clamp and drives as they are.
         postures: joint angles in which the flange is clamped ``(c, n)`` [rad].
         rng: draws noise and drive gains.
@@ -82,7 +82,7 @@ def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array
 
 @dataclass(frozen=True, repr=False)
 class ClampedResult(ShownRun):
-    """One clamped scene played and analysed."""
+    """The recordings and the analysis of one clamped scene."""
 
     scene: ClampedScene
     analysis: StiffnessAnalysis
@@ -93,11 +93,11 @@ class ClampedResult(ShownRun):
     failure: str | None = None
 
     def errors(self) -> list[dict[str, Any]]:
-        """How far each result is from the simulated truth, and the wrong drive gain's part in it [%]."""
+        """Error of each result against the simulated truth, and the share of the wrong drive gain in it [%]."""
         rows = []
         for result in self.analysis.joints:
             truth = float(self.truths[0].stiffness[result.joint - 1])
-            # The data sheet's gain times the recorded current is the true torque over the true gain's factor.
+            # Torque by the data sheet's gain is the true torque divided by the true gain's factor.
             gain = 100 * (float(np.mean([1 / t.gain_factor[result.joint - 1] for t in self.truths])) - 1)
             rows.append({"joint": result.joint, "method": result.method, "truth": truth,
                          "error_percent": 100 * (result.stiffness / truth - 1),
@@ -125,7 +125,7 @@ class ClampedResult(ShownRun):
                 for result, error in zip(self.analysis.joints, self.errors(), strict=True)]
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a joint and method."""
+        """The results as a table: titles, and one row per joint and method."""
         return (["joint", "method", "k [N m/rad]", "%σ", "error [%]"],
                 [[result.joint, result.method, result.stiffness, result.std_percent, error["error_percent"]]
                  for result, error in zip(self.analysis.joints, self.errors(), strict=True)])
@@ -140,7 +140,7 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
     """The page of a stiffness analysis.
 
     Args:
-        analysis, title: what it shows, and its title.
+        analysis, title: the analysis to show, and the page's title.
         truth: true stiffness ``(n,)`` [N m/rad], for the comparison that only a simulation allows.
     """
     report = Report(title, _summary(analysis, truth))
@@ -235,7 +235,7 @@ def _line_figure(signals: tuple[ClampedSignals, ...], robot: Robot, method: Meth
                 tau, use = joint_torque(recording, robot, method)
             except InputError:
                 continue
-            # Offsets differ from recording to recording; the slope is what they share.
+            # Offsets differ from recording to recording; the slope is common.
             x, y = recording.q_m[use, j] - recording.q_m[use, j].mean(), tau[use, j] - tau[use, j].mean()
             axis.plot(1e3 * x, y / 1e3, "o", ms=3, mfc="none", color=BLUE, alpha=0.5)
             ends = np.array([x.min(), x.max()])
@@ -247,14 +247,14 @@ def _line_figure(signals: tuple[ClampedSignals, ...], robot: Robot, method: Meth
     return figure
 
 
-# What the kind offers: clamp, push, record and identify, by one method or both.
+# The functions of the kind ``clamped``: clamp, push, record and identify, by one method or both.
 
 METHODS = ("motor", "wrench", "both")
 
 
 def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
         progress: Progress = silent) -> ClampedResult:
-    """See ``Play.__call__``: clamps, pushes, records, identifies; by ``motor``, ``wrench`` or ``both``, the default."""
+    """Clamps, pushes, records and identifies, by ``motor``, ``wrench`` or ``both`` (default); see ``Play.__call__``."""
     chosen = method_of(method or "both", METHODS).key
     robot = arm_of(scene.robot)
     world = ClampWorld.from_table(robot, scene.arm_world, scene.source)
@@ -279,7 +279,7 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
 
 def compare(scene: ClampedScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> ClampedResult:
-    """See ``Compare.__call__``: the methods, and payloads where the scene has them, side by side."""
+    """Compares the methods, and payloads where the scene has them; see ``Compare.__call__``."""
     return run(scene, method=methods[0] if methods and len(methods) == 1 else "both", out=out, progress=progress)
 
 

@@ -1,4 +1,4 @@
-"""The command line: one verb a job; the verbs stand by theme in ``scenes/commands``."""
+"""The command line: one verb per task; the verbs are in ``scenes/commands`` by theme."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ VERBS = {verb: place for verbs in THEMES.values() for verb, place in verbs.items
 
 
 class Verb(TyperCommand):
-    """A verb that begins only if what it is to read is there and its numbers are finite."""
+    """A verb that starts only if its input files exist and its numbers are finite."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Parses as the library does, then checks numbers, as ``float`` takes ``nan``, and files.
@@ -114,14 +114,14 @@ def _too_long(path: Path) -> bool:
 
 
 class Program(TyperGroup):
-    """The program: its page of help tells of each verb no more than name, theme and first sentence."""
+    """The program; its help page lists each verb with name, theme and first sentence only."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands: dict[str, Any] = dict.fromkeys(VERBS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a verb, its options declared now: those of all verbs would double the time of an answer."""
+        """The command of a verb with its options, which are declared only now to save time at the start."""
         if cmd_name in VERBS and self.commands[cmd_name] is None:
             alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
             alone.command(cmd_name, cls=Verb)(function_of(cmd_name))
@@ -141,7 +141,7 @@ app = typer.Typer(
     cls=Program,
     help="Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is.",
     no_args_is_help=True,
-    # The page of all verbs as plain text: what draws it in frames takes longer to load than the rest of the program.
+    # The page of all verbs is plain text: a library for frames takes longer to load than the rest of the program.
     rich_markup_mode=None,
     context_settings={"max_content_width": 110},
     pretty_exceptions_enable=False,
@@ -161,21 +161,21 @@ def _common(version: Annotated[bool, typer.Option("--version", callback=_say_ver
 
 
 def declared(verb: str) -> Callable[..., None]:
-    """The function of a verb, as it stands."""
+    """The function of a verb, unchanged."""
     module, _, name = VERBS[verb].partition(":")
     function: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
     return function
 
 
 def function_of(verb: str) -> Callable[..., None]:
-    """The function that a verb calls, with a parameter for each option."""
+    """The function that a verb calls, with one parameter per option."""
     function = declared(verb)
     options = get_type_hints(function).get("options")
     return function if options is None else one_by_one(function, options)
 
 
 def one_by_one(verb: Callable[..., None], options: type[Any]) -> Callable[..., None]:
-    """A verb with a parameter for each option, as typer reads it, of one that takes them as one object.
+    """A function with one parameter per option, as typer needs it, for a verb that takes its options as one object.
 
     The fields of the class ``options`` are declared as typer's parameters are.
     """
@@ -194,31 +194,31 @@ def one_by_one(verb: Callable[..., None], options: type[Any]) -> Callable[..., N
 
 
 def main() -> None:
-    """Entry point: exit code 0 done, 1 the job failed, 2 bad input, each with one clear line.
+    """Runs the command line; exit code 0 done, 1 the task failed, 2 bad input, each with one clear line.
 
     With ``IDEAL_ROBOT_DEBUG=1`` in the environment errors of the program itself show their traceback.
     """
     find_ours_first()
     if not _debugging():
         warnings.simplefilter("ignore")
-    # The libraries' 300,000 objects stay: to look through them after every 700 new ones takes 0.3 s of a verb, to look
-    # once more through those that are new 0.1 s.
+    # The libraries' 300,000 objects are never freed: a garbage collection after every 700 new objects costs a verb 0.3
+    # s, one more with this threshold 0.1 s.
     gc.set_threshold(50_000, 50)
-    # On the way out nobody looks for circles among the libraries' objects, which takes half a second.
+    # No garbage collection of the libraries' objects at exit, which takes half a second.
     atexit.register(gc.freeze)
-    # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
+    # As after Ctrl-C, partial files and worker processes are removed at exit.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    # In the background of a shell it stays ignored.
+    # In the background of a shell the signal stays ignored.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
     sys.unraisablehook = _raised_again
     try:
         app()
     except KeyboardInterrupt:
-        # Before a verb has begun; within it typer answers the same.
+        # Ctrl-C before a verb has begun; within it typer exits in the same way.
         sys.exit(130)
     except Exception as error:
-        # Compiled code, while it is imported, makes other errors of a Ctrl-C.
+        # While compiled code is imported, Ctrl-C raises other errors.
         sys.exit(130 if _INTERRUPTED else ended_by(error))
 
 
@@ -237,12 +237,12 @@ def _raised_again(lost: Any) -> None:
     if sent is None:
         sys.__unraisablehook__(lost)
     else:
-        # From elsewhere and a little later: here it would be lost again.
+        # From another thread and a little later: here the signal would be lost again.
         threading.Timer(0.05, os.kill, (os.getpid(), sent)).start()
 
 
 def ended_by(error: BaseException) -> int:
-    """Says in one line why a verb ended early, and returns the exit code: 2 for bad input, else 1.
+    """Prints in one line why a verb failed, and returns the exit code: 2 for bad input, else 1.
 
     With ``IDEAL_ROBOT_DEBUG`` an unexpected error is raised again.
     """
@@ -269,7 +269,7 @@ def ended_by(error: BaseException) -> int:
 def _output_is_full() -> bool:
     """Whether what was printed finds no room; what is left of it is then given up, so that nothing fails at the end."""
     try:
-        # What did not fit is given up by then: whether there is room shows what is written next.
+        # The buffered rest is discarded by then; the next write shows whether there is space.
         os.write(sys.stdout.fileno(), b"\n")
     except OSError as error:
         with suppress(OSError):

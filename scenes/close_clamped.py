@@ -1,9 +1,9 @@
-"""From a clamped flange to a path: an arm without any device on its arm side learns what its gears give.
+"""Uses the stiffness from clamped recordings on a path, for an arm without any external measuring device.
 
-Model without stiffness → clamped recordings ([J]) → stiffness → model → path: one command, no tracker. What decides is
-how far the motors of each clamped recording shift beyond what the stiffness of the other ones explains: no play of the
-path tells, as without a device on the arm's side its motors show nothing of what gears give. For comparison the same
-with the stiffness that an external device's arm angles give on a motion in the same world, and with the true one.
+Model without stiffness → clamped recordings ([J]) → stiffness → model → path: one command, no tracker. A change is
+accepted by the motor shifts of each clamped recording that the stiffness of the other ones leaves unexplained: without
+an external device the path itself shows nothing of the gears' deflection. For comparison the same with the stiffness
+that an external device's arm angles give on a motion in the same world, and with the true one.
 """
 
 from __future__ import annotations
@@ -54,10 +54,11 @@ SOURCES = {"before": "none", "after": "clamped flange", "tracker": "arm angles o
 
 def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """See ``CloseLoop.__call__``: clamps the flange, identifies the gears' stiffness and plays the path with it.
+    """Clamps the flange, identifies the gears' stiffness and runs the path with it; see ``CloseLoop.__call__``.
 
-    With ``tcp`` measured the wrench at the clamp counts, too; with ``motor`` angles and currents alone: then an error
-    of the data sheet's drive gains goes into the stiffness in full. ``arm`` is not for an arm that is clamped.
+    With ``tcp`` measured the wrench at the clamp is used, too; with ``motor`` only angles and currents are used, so
+    that errors of the data sheet's drive gains appear in the stiffness in full. ``arm`` is not possible for a clamped
+    arm.
     """
     if measured not in ("motor", "tcp"):
         raise InputError("expected motor (angles and currents alone) or tcp (the wrench at the clamp too)",
@@ -144,7 +145,7 @@ class _Clamp(Subject[Play]):
 
 
 def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
-    """The best known stiffness of each joint ``(n,)`` [N m/rad]: of the methods that say one, the surest.
+    """Best stiffness estimate of each joint ``(n,)`` [N m/rad]: that of the method with the smallest deviation.
 
     Raises InputError for a joint that no recording loaded.
     """

@@ -1,4 +1,4 @@
-"""Compiles what runs need, once: ``python -m scenes.compiled``, done when make installs; ``line`` for that kind alone.
+"""Compiles the code of runs once: ``python -m scenes.compiled``, after installation; ``line`` for that kind alone.
 
 Compiled code is kept beside the sources, or in ``NUMBA_CACHE_DIR``; without this step a first run takes half
 a minute longer. It plays short scenes, so that everything is compiled for the very types that runs use.
@@ -37,14 +37,14 @@ SHORT: dict[str, dict[str, Any]] = {"straight": {"line": {"points": [[0.0, 0.0],
 
 
 def compile_scenes(*kinds: str) -> None:
-    """Plays a short scene of each of some kinds."""
+    """Runs a short scene of each of some kinds, to compile their code."""
     for name, short in SHORT.items():
         if load_scene(name).kind in kinds:
             run_scene(load_scene(name), method="adapted", **short)
 
 
 def compile_arm(*keys: str) -> None:
-    """Plays a path without a sensor, identifies an arm from a recording, and tries feedforwards."""
+    """Runs a path without a sensor, identifies an arm, and tries feedforwards, to compile their code."""
     compile_scenes("path")
     robot = Robot.load("kr6")
     model = Model.load(shipped_model("kr6"))
@@ -61,12 +61,12 @@ def compile_arm(*keys: str) -> None:
 
 
 def compile_all(*kinds: str) -> None:
-    """Compiles what runs of some kinds need, all of it if none is named, in two processes.
+    """Compiles the code of runs of some kinds, of all if none is named, in two processes.
 
-    One begins with the pictures, the other with the arm, which a run needs last: what one has made the other finds.
+    One begins with the camera, the other with the arm; each uses what the other has already compiled.
     """
     keys = () if kinds else (*methods(Needs.MODEL), *settings(Needs.MODEL))
-    # The other process plays a path in any case.
+    # The other process runs a path in any case.
     sensed = {*(kinds or (load_scene(name).kind for name in SHORT))} - {"path"}
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as processes:
         for done in [processes.submit(compile_scenes, *sensed), processes.submit(compile_arm, *keys)]:

@@ -1,4 +1,4 @@
-"""The exercises of the course: what answers are right, apart from the notebooks, which would show it otherwise.
+"""The exercises of the course: their answers, which the notebooks must not show.
 
 A notebook ends with ``check = exercise("controller", globals())`` and ``check(answer)``.
 """
@@ -18,10 +18,10 @@ Names = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Exercise:
-    """What is asked at the end of a lesson.
+    """The question at the end of a lesson.
 
     Attributes:
-        answer: the right one, of what the notebook's cells have made.
+        answer: computes the right answer from the notebook's variables.
         within: how far from it an answer may be.
         relative: whether that is a share of the answer.
         hint: said of a wrong one.
@@ -83,7 +83,7 @@ EXERCISES = {
 
 
 def exercise(lesson: str, made: Names) -> Callable[[float | None], bool]:
-    """The check of a lesson's exercise: takes an answer, prints whether it is right or what to look at, and returns it.
+    """The check of a lesson's exercise: takes an answer, prints whether it is right or a hint, and returns it.
 
     Args:
         lesson: name of the notebook.

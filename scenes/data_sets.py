@@ -1,4 +1,4 @@
-"""Public recordings by others: fetched, compared with a checksum, and written as recordings of ours."""
+"""Public recordings by others: downloaded, compared with a checksum, and written in this project's format."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class DataSet:
 
     Attributes:
         name: by which it is fetched.
-        title: what it is.
+        title: description.
         page: where people find it.
         cite: its authors' publication.
-        licence: what may be done with it.
+        licence: terms of use.
         columns: names of the file's columns, in its order.
         checked: columns that ``values_sha256`` is of.
         format: ``csv`` without titles, or ``mat``.
@@ -84,7 +84,7 @@ def data_sets(registry: Path | None = None) -> dict[str, DataSet]:
 
 
 def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | None = None) -> Path:
-    """Gets a data set and writes it as ``NAME.parquet``, with its origin and licence in ``NAME.txt`` beside it.
+    """Downloads a data set and writes it as ``NAME.parquet``, with its origin and licence in ``NAME.txt``.
 
     Raises InputError for no such set, one that needs ``file``, or a file that cannot be read; IdealRobotError for no
     connection, or not the file that it should be.
@@ -176,7 +176,7 @@ def _arrays(content: bytes) -> dict[str, Any]:
 
 def _in_mat(content: bytes) -> dict[str, Any] | ValueError:
     """What a ``mat`` file holds, or whatever SciPy says of a broken one, which has no type in common."""
-    # What ends this process is told by the one that waits for it, in a line.
+    # The parent process reports a crash of this one, in one line.
     faulthandler.disable()
     try:
         return {name: value for name, value in loadmat(io.BytesIO(content)).items() if isinstance(value, np.ndarray)}

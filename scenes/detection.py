@@ -26,7 +26,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
 
 
 class Detected(NamedTuple):
-    """Name, picture and finding; and in a film what has become of the line, see ``Track.state``."""
+    """Name, picture and detected line; in a film also the state of tracking, see ``Track.state``."""
 
     name: str
     picture: Picture
@@ -35,7 +35,7 @@ class Detected(NamedTuple):
 
 
 class Unreadable(NamedTuple):
-    """Name of a file that is no readable picture, and what is wrong with it."""
+    """Name of a file that is no readable picture, and the error."""
 
     name: str
     error: InputError
@@ -68,9 +68,9 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
 
 def detected(sources: Sequence[str], *, every: int, most: int, kind: str | None, near: tuple[float, float] | None,
              points: int) -> Iterator[Detected | Unreadable]:
-    """What is found in each picture of all sources; in a film the line is followed from picture to picture.
+    """The lines detected in each picture of all sources; in a film the line is tracked from picture to picture.
 
-    What is not readable is said in its place, and the others go on; InputError where it is all that there is.
+    Unreadable files give an ``Unreadable``; InputError where no file is readable.
 
     Args:
         sources: see ``pictures``.
@@ -149,7 +149,7 @@ def _check_header(path: Path) -> None:
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise InputError(f"larger than {PICTURE_PIXELS.most // 1_000_000} megapixels; make it smaller",
                          file=path) from error
-    except Exception:  # not a picture of a kind known here: OpenCV says what is wrong with it
+    except Exception:  # not a known kind of picture: OpenCV reports the error
         return
     _check_size(width, height, str(path))
 
@@ -203,7 +203,7 @@ _CONFIDENT = 0.5
 
 
 def figures(one: Detected | Unreadable) -> dict[str, Any]:
-    """A finding as plain values for JSON; lengths in pixels."""
+    """A detected line as plain values for JSON; lengths in pixels."""
     if isinstance(one, Unreadable):
         return {"picture": one.name, "found": False, "reason": str(one.error), "points": [], "pieces": [],
                 "breaks": []}
@@ -227,7 +227,7 @@ def _points(strip: Strip) -> list[dict[str, float]]:
 def drawn(picture: Picture, found: PictureLine) -> bytes:
     """The picture, gray or BGR, as PNG with the line's edges (orange) and points (green, red where it hardly shows).
 
-    Of a line in pieces all are drawn, and where it breaks: an arrow from the end of one piece to the next.
+    All segments are drawn, with an arrow over each gap.
     """
     scale = min(_WIDEST / picture.shape[1], 3.0)
     image = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
@@ -254,7 +254,7 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
     """The page about all pictures of all sources.
 
     Args:
-        sources, kind: where they came from, and what line was looked for.
+        sources, kind: the pictures' sources, and the kind of line.
         results: of each picture.
     """
     shown = [result for result in results if isinstance(result, Detected)]
@@ -265,7 +265,7 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
     report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(shown)} pictures, from "
                                       f"{', '.join(sources)}{sure}."
                                       + f" {unreadable} could not be read." * bool(unreadable))
-    # What was found is seen first; of a film the order in time is kept.
+    # Pictures with a line come first; a film keeps its order in time.
     if not any(result.state for result in shown):
         shown.sort(key=lambda one: not one.found.found)
     report.next(*next_steps(sources[0], count))
@@ -286,7 +286,7 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
 
 
 def next_steps(source: str, found: int) -> list[tuple[str, str]]:
-    """What to do after a detection: for each step a sentence and its command."""
+    """The next steps after a detection, each a sentence and its command."""
     if found:
         return [("Calibrate the camera, from pictures of a checkerboard.",
                  "ideal-robot calibrate poses.csv --board 9x6 --square 20"),
@@ -296,7 +296,7 @@ def next_steps(source: str, found: int) -> list[tuple[str, str]]:
 
 
 def table(results: Sequence[Detected | Unreadable]) -> tuple[list[str], list[list[Any]]]:
-    """Column titles, and one row a picture."""
+    """The detections as a table: titles, and one row per picture."""
     return ["picture", "found", "probability", "width [px]", "polarity", "contrast", "σ [px]", "pieces", "other lines",
             "why not"], list(map(_row, results))
 

@@ -1,4 +1,4 @@
-"""The seam of scene kinds: what a kind of scene offers to runner, command line and viewer.
+"""The interface of scene kinds: the functions that a kind offers to runner, command line and viewer.
 
 A package outside adds one by ``KINDS.register("mine", SceneKind(…))`` or by an entry point of the group
 ``ideal_robot.scene_kinds``.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Play(Protocol):
-    """Plays a scene once; a kind may take further keywords, such as the sensors of a line scene."""
+    """Runs a scene once; a kind may take further keywords, such as the sensors of a line scene."""
 
     def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> RunResult:
         """Plays the scene.
@@ -37,14 +37,14 @@ class Play(Protocol):
 
 
 class Compare(Protocol):
-    """Plays a scene with several methods."""
+    """Runs a scene with several methods."""
 
     def __call__(self, scene: Any, *, methods: Any = None, out: Any = None, progress: Any = ...) -> CompareResult:
         """See ``Play.__call__``; ``methods`` are several of what it takes, all that apply if None."""
 
 
 class CloseLoop(Protocol):
-    """Plays a scene, diagnoses what its model misses, and plays it again with what was found."""
+    """Runs a scene, diagnoses what its model lacks, and runs it again with the extended model."""
 
     def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> Closing:
         """See ``Play.__call__``; ``measured`` says what the arm measures, see ``scenes.closing.result``.
@@ -61,13 +61,13 @@ class SceneKind:
     Attributes:
         scene: the scene's class: which keys its file has.
         methods: the keys that ``run`` takes as its method.
-        run: plays a scene with one method.
-        compare: plays a scene with several.
+        run: runs a scene with one method.
+        compare: runs a scene with several methods.
         curves: curves of a scene by name ``(N, 3)`` [m] for the viewer; None where there is nothing to draw.
-        replay: of a run's result what moves in pages, films and the viewer (``scenes.report.replay.Replay``), or None
-            where the run was too short; None where the kind has no replay.
+        replay: makes the animation of a run's result for pages, films and the viewer (``scenes.report.replay.Replay``),
+            or None where the run was too short; None where the kind has no replay.
         close_loop: run, diagnose, extend the model and run again, or ``"module:attribute"`` of it, which is imported
-            when a loop is closed; None where the kind holds nothing to be found.
+            when a loop is closed; None where the kind has no diagnosis.
     """
 
     scene: type[Scene]

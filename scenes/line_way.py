@@ -1,4 +1,4 @@
-"""Whether an arm can follow a scene's line wherever it may lie, and how fast: one judge for `new` and `run`."""
+"""Checks whether an arm can follow a scene's line wherever it may lie, and how fast, for `new` and `run`."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class LineWay:
-    """A reference that an arm can follow, and the joint paths of all that its line may ask for instead.
+    """A reference that an arm can follow, and joint paths for all displacements that its line may have.
 
     Attributes:
         scene, robot: speed and acceleration, and the arm.
-        reference: on the surface as it is assumed or as it was found.
+        reference: on the assumed or calibrated surface.
         path: of the reference in joint space.
-        beside: of the lines on the outermost surfaces that the scene's displacement allows, at fewer places; none for
-            a surface that was found.
+        beside: of the lines on the outermost surfaces that the scene's displacement allows, at fewer places; none for a
+            calibrated surface.
     """
 
     scene: LineScene
@@ -57,7 +57,7 @@ class LineWay:
     beside: tuple[JointPath, ...] = ()
 
     def travel(self) -> SpeedProfile:
-        """The travel at the scene's speed along the assumed surface; on one that was found, as fast as it lets go.
+        """The travel at the scene's speed on an assumed surface; on a calibrated one, at most as fast as it permits.
 
         Raises InputError for a speed that path or joints do not allow, or a motion longer than the scene allows.
         """
@@ -79,7 +79,7 @@ class LineWay:
 
 
 def line_way(scene: LineScene, robot: Robot, points: Array | None = None, surface: pin.SE3 | None = None) -> LineWay:
-    """The way of an arm along a scene's line.
+    """The joint paths of an arm along a scene's line.
 
     Args:
         scene: where the line is, and how far from there it may lie.
@@ -94,7 +94,7 @@ def line_way(scene: LineScene, robot: Robot, points: Array | None = None, surfac
     up = scene.surface.pose().rotation[:, 2]
     if surface is not None:
         found = ReferencePath(points @ surface.rotation.T + surface.translation, up=surface.rotation @ up, turning=1.0)
-        # The posture in which fewer than seven joints take a place is the one nearest to home, wherever the place is.
+        # With fewer than seven joints a place has one posture near home, wherever the place is.
         if robot.n <= 6:
             return LineWay(scene, robot, found, JointPath.of(robot, found))
         assumed = JointPath.of(robot, ReferencePath(points, up=up, turning=1.0))
@@ -157,7 +157,7 @@ def _check_axis(kinematics: InverseKinematics, rotations: Array, places: Array, 
 
 
 def check_clear(shapes: Shapes, path: JointPath) -> None:
-    """Raises InputError for a path on which the arm would touch something, and says where, and what is in the way."""
+    """Raises InputError for a path on which the arm would collide; names the place and the obstacle."""
     touch = shapes.first_touch(path.q[::5])
     if touch is not None:
         raise InputError(f"the arm would hit something: {touch} {path.s[5 * touch.row]:.2f} m from the path's begin",
@@ -165,7 +165,7 @@ def check_clear(shapes: Shapes, path: JointPath) -> None:
 
 
 def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
-    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it, among boxes."""
+    """The arm with its obstacles: the surface of a scene's line, ``BORDER`` beyond the line, and boxes."""
     plane = scene.surface.pose()
     drawn = (reference_points(scene) - plane.translation) @ plane.rotation
     low, high = drawn.min(axis=0) - BORDER, drawn.max(axis=0) + BORDER
@@ -174,7 +174,7 @@ def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
 
 
 def shapes_in(scene: Scene, robot: Robot) -> Shapes:
-    """The arm among all that a scene names: boxes, and the surface where there is one."""
+    """The arm with all obstacles of a scene: boxes, and the surface where there is one."""
     if isinstance(scene, LineScene | ForceScene):
         return shapes_about(scene, robot)
     return Shapes(robot, boxes=obstacles(boxes_of(scene)))
@@ -189,12 +189,12 @@ def middle_of_view(camera: CameraModel) -> Array:
 def calibration_postures(robot: Robot, reference: ReferencePath, path: JointPath, camera: CameraModel, at: float,
                          clear: float = 0.0, shapes: Shapes | None = None, line: LineAhead | None = None
                          ) -> list[Array]:
-    """Joint angles of the poses that the arm reaches, on a way that touches nothing.
+    """Joint angles of the calibration poses that the arm reaches, on a path without collisions.
 
-    An arm whose joints are not where its URDF has them carries the tool elsewhere than its angles say, and in each
-    arrangement of its joints elsewhere: what differs between the poses is found as an error of the camera. So each pose
-    is reached from the posture in which the line is followed, without another wrist, elbow or shoulder, and the last
-    joint turns the tool; only an arm that reaches fewer than half of them so takes other arrangements.
+    Errors of the joints' places displace the tool, by another amount in each configuration, and the calibration takes
+    such differences for errors of the camera. So each pose is reached from the posture in which the line is followed,
+    without another wrist, elbow or shoulder, and the last joint turns the tool; only an arm that reaches fewer than
+    half of them so uses other configurations.
 
     Args:
         robot: the arm.
@@ -202,8 +202,8 @@ def calibration_postures(robot: Robot, reference: ReferencePath, path: JointPath
         camera: as mounted by hand.
         at: arc length of the reference around which the piece lies [m].
         clear: how far the tip keeps away from the reference at least [m].
-        shapes: the arm in its cell; None where nothing is known of it.
-        line: where it is there as far as known; on the reference if None.
+        shapes: the arm in its cell; None where it is unknown.
+        line: the line's known place there; on the reference if None.
 
     Raises:
         SceneError: fewer than half of the poses can be reached.
@@ -250,7 +250,7 @@ def _carried(kinematics: InverseKinematics, q: Array, pose: pin.SE3) -> Array:
     steps = max(int(np.ceil(np.linalg.norm(whole.vector) / CARRIED)), 1)
     angles = q
     for share in np.arange(1, steps + 1) / steps:
-        # Drawn there step by step, as on a path: at once, Newton's method overshoots.
+        # The angles approach the target step by step, as along a path: in one step Newton's method overshoots.
         angles = kinematics.solve(begin * pin.exp6(share * whole), angles,
                                   wanted=angles + DRAWN_ALONG * (q + share * (wanted - q) - angles))
     return angles

@@ -1,4 +1,4 @@
-"""The methods of scenes: how what is sensed becomes commands, by key or as an object of the user's."""
+"""The methods of scenes, which turn sensor data into commands: by key or as an object of the user's."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ PLAIN = ("precorrected", "precorrected-printed")
 
 @dataclass(frozen=True)
 class SceneMethod:
-    """One way of turning what is sensed, or a known path, into commands.
+    """One method of turning sensor data, or a known path, into commands.
 
     Attributes:
         key: its name in tables, files and on the command line.
-        made: a feedforward of the user's, or the factory of one; None: what the key says.
+        made: a feedforward of the user's, or the factory of one; None: that of the key.
     """
 
     key: str
@@ -47,21 +47,21 @@ class SceneMethod:
 
     @property
     def senses(self) -> bool:
-        """Whether the desired path is what the follower makes of the sensors."""
+        """Whether the desired path comes from sensors through the follower."""
         return self.key not in (NONE, DIRECT)
 
     @property
     def knows_model(self) -> bool:
-        """Whether the play may use the arm's model: for the commands, the gears' deflection, the camera's latency."""
+        """Whether the run may use the arm's model: for commands, the gears' deflection, and the camera's latency."""
         return self.key not in (NONE, DIRECT, SENSOR_PATH)
 
     @property
     def adapts(self) -> bool:
-        """Whether what the arm showed before the job is learned from."""
+        """Whether the method learns from motions before the task."""
         return self.key.removesuffix(DELAY) == ADAPTED
 
     def feedforward(self, setting: Setting) -> Feedforward:
-        """Makes the feedforward; InputError where something that it needs is missing, or this arm cannot play it."""
+        """Makes the feedforward; InputError where its requirements are missing, or this arm cannot use it."""
         with RaisedBy(f"method {self.key}, as it is made and tried"):
             if isinstance(self.made, Feedforward):
                 feedforward = self.made
@@ -73,9 +73,9 @@ class SceneMethod:
             return tried(feedforward, setting.robot.home, setting.robot.t_ipo)
 
     def following(self, setting: Setting) -> Feedforward:
-        """Makes the feedforward of a play that knows its path over a horizon only.
+        """Makes the feedforward of a run that knows its path over a horizon only.
 
-        Raises InputError where it needs more: the whole path, plays beforehand, or a longer horizon.
+        Raises InputError where it needs more: the whole path, runs beforehand, or a longer horizon.
         """
         feedforward = self.feedforward(setting)
         if setting.n_d is not None and feedforward.n_d > setting.n_d and not feedforward.extends:
@@ -85,14 +85,14 @@ class SceneMethod:
 
 
 def following_methods() -> tuple[str, ...]:
-    """Keys of the methods that follow what is sensed: the sensed path alone, and what needs no more than a model."""
+    """Keys of the methods that can follow sensors: without correction, and those that need a model at most."""
     return (SENSOR_PATH, IDEAL, ADAPTED,
             *(key for key in (*registered_methods(Needs.MODEL), *settings(Needs.MODEL))
               if key not in (NONE, IDEAL, ADAPTED)))
 
 
 def method_of(wanted: Any, allowed: Sequence[str]) -> SceneMethod:
-    """The method that a caller asks for; InputError for no such key.
+    """The method of a key or an object; InputError for no such key.
 
     Args:
         wanted: one of ``allowed``, a ``Feedforward``, or a factory of one that is called with a ``Setting``.
@@ -117,9 +117,9 @@ def compared(wanted: Sequence[Any] | None, allowed: Sequence[str], left_out: Seq
     """The methods of a comparison; InputError for no such method, or two of one name.
 
     Args:
-        wanted: those that a caller asks for; None for all.
+        wanted: the caller's choice; None for all.
         allowed: keys of the kind of scene.
-        left_out: keys that are compared only where they are asked for.
+        left_out: keys that are compared only if chosen.
     """
     every = [key for key in allowed if key not in left_out]
     chosen = [method_of(choice, allowed) for choice in (every if wanted is None else wanted)]
@@ -132,7 +132,7 @@ def compared(wanted: Sequence[Any] | None, allowed: Sequence[str], left_out: Seq
 
 @dataclass(frozen=True)
 class GainTrial:
-    """One pair of gains and the error that it leaves; infinite where the run failed."""
+    """One pair of gains and its error; infinite where the run failed."""
 
     k_p: float
     k_d: float
@@ -140,10 +140,10 @@ class GainTrial:
 
 
 class GainSearch:
-    """Tries gains one after another and keeps what came of them.
+    """Tries gains one after another and stores the trials.
 
     Args:
-        error: the error that a pair K_p, K_d leaves in the scene; infinite or NaN where it fails.
+        error: the error of a pair K_p, K_d in the scene; infinite or NaN where it fails.
         total: trials to expect, for the progress.
         progress: called after each trial.
     """

@@ -55,7 +55,7 @@ class Error:
 
 @dataclass(frozen=True)
 class PathErrors:
-    """The three measures of one motion; ``delay`` is what *aligned* removed [s], positive where the arm is late."""
+    """The three error measures of a motion; ``delay`` is what *aligned* removed [s], positive for a late arm."""
 
     time_matched: Error
     aligned: Error
@@ -72,7 +72,7 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
     """Errors of a motion against its desired path; InputError for fewer than four samples, or shapes that do not fit.
 
     Args:
-        t: instants at which the path counts ``(N,)`` [s].
+        t: instants at which the errors are computed ``(N,)`` [s].
         x_d: desired positions at ``t``, shape ``(N, 3)`` [m].
         t_actual: instants of the motion ``(M,)`` [s]; may begin earlier and end later than ``t``. Where they do not,
             the first and last position hold.
@@ -92,7 +92,7 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
     best = float(coarse[int(np.argmin(motion.squared(t, x_d, coarse)))])
     refined = minimize_scalar(squared, bounds=(best - 0.004, best + 0.004), method="bounded",
                               options={"xatol": 1e-7})
-    # Removing a delay must never make the error larger; ties at the start of the search count as none.
+    # Removing a delay must never make the error larger; equal minima count as no delay.
     delay = float(refined.x) if refined.fun < squared(0.0) else 0.0
     actual = at(t)
     return PathErrors(
@@ -168,7 +168,7 @@ def reduction_percent(before: float, after: float) -> float:
 
 @dataclass(frozen=True)
 class ControlError:
-    """Distance of the true TCP from the drawn line, in the surface, while it counts.
+    """Distance of the true TCP from the drawn line, in the surface, while the line is followed.
 
     Attributes:
         mean, p95, max: of its absolute value [m].
@@ -189,7 +189,7 @@ class ControlError:
 
         Args:
             t, s, lateral: as the attributes.
-            counts: which of them count ``(N,)``.
+            counts: which of them are used ``(N,)``.
         """
         size = np.abs(lateral[counts])
         rows = np.flatnonzero(counts)[:: step(len(size))]

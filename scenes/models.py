@@ -1,7 +1,7 @@
-"""Where the ideal robot's model comes from: shipped, of the very arm, or a file of the user's.
+"""The source of the ideal robot's model: shipped, identified for this arm, or a file of the user's.
 
-Shipped and own models are identified from recordings of the simulated arm, as a user would: nothing is read from the
-world but what a controller logs and an external measuring device sees.
+Shipped and own models are identified from recordings of the simulated arm, as a user would: only a controller's log and
+an external measuring device are used.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PROCEDURE = 15
 
 
 class PreparedModel(NamedTuple):
-    """The file of an arm's own model, and whether it was identified just now."""
+    """The file of an arm's own model, and whether it was identified now."""
 
     path: Path
     fresh: bool
@@ -54,7 +54,7 @@ def cache_folder() -> Path:
 
 def prepared_model(robot: Robot, world: World, progress: Progress = silent, boxes: Sequence[Box] = ()
                    ) -> PreparedModel:
-    """The model that an arm's own identification motions give; they are played where nothing sound is kept of them.
+    """The model identified from an arm's own motions; they are run where no valid model is cached.
 
     The world says how the simulated arm moves, as a real arm's mechanics do; the model sees its recordings alone.
     Raises InputError for an arm whose world does not fit its data, or a cache folder that cannot be written.
@@ -62,22 +62,22 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent, boxe
     Args:
         robot, world: the arm as its data sheet has it, and as it is.
         progress: called with the fraction done.
-        boxes: that stand in the cell; the motions keep off them.
+        boxes: boxes in the cell that the motions avoid.
     """
     path = cache_folder() / f"{cache_name(robot, world, boxes)}.json"
     if os.path.isfile(path):
-        # One that was cut off, or cannot be read for another reason, is made anew as if there were none.
+        # A cached model that is truncated or unreadable is identified again.
         with suppress(InputError):
             model_at(str(path), robot)
             return PreparedModel(path, fresh=False)
-    # Found now, not after the arm has been moved for minutes.
+    # Checked now, not after the arm has moved for minutes.
     check_outputs({"IDEAL_ROBOT_CACHE": path.parent})
     model = _identified(world.robot, world=world, boxes=obstacles(boxes), progress=progress)
     return PreparedModel(model.save(path), fresh=True)
 
 
 def cache_name(robot: Robot, world: World, boxes: Sequence[Box] = ()) -> str:
-    """The robot, and a digest of all that the model depends on: also of the procedure.
+    """Name of a cache file: the robot, and a digest of all that the model depends on, the procedure included.
 
     Args:
         robot, world, boxes: as for ``prepared_model``.
@@ -91,12 +91,12 @@ __all__ = ["model_for", "own_model", "shipped_model"]
 
 
 def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
-    """The model that a scene asks for; the arm's own one is identified now if that has not been done.
+    """The model that a scene names; the arm's own one is identified now if that has not been done.
 
     Raises InputError as ``model_at`` and ``prepared_model`` do.
 
     Args:
-        scene, robot: say which model, and what the arm is like that moves for an own one; its data sheet.
+        scene, robot: the scene with its model and world, and the arm by its data sheet.
         progress: called with the fraction of an identification done.
     """
     if scene.model != OWN:
@@ -105,7 +105,7 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
 
 
 def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
-    """Path of the model that the scene's arm gives by motions of its own; identified now where it is missing.
+    """Path of the model from the scene's own identification motions; identified now where it is missing.
 
     Args:
         scene, robot: the arm as it is, and as its data sheet has it.
@@ -122,7 +122,7 @@ if __name__ == "__main__":
         print(_identified(shipped).save(shipped_model(shipped)))
 
 
-# What was played, as digests: task, world and model of a run.
+# Digests of a run's inputs: task, world and model.
 
 _WORDS = {"name", "title", "description", "paper"}
 """Keys of a scene that say what it is called."""
@@ -131,15 +131,15 @@ _HOW = {"seed", "method", "model", "n_d", "gains"}
 
 
 def digest_of(content: Any) -> str:
-    """Sixteen hexadecimal digits of what JSON can hold."""
+    """Sixteen hexadecimal digits of the hash of a JSON value."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def identity(scene: Scene) -> dict[str, str | None]:
-    """Digests of what a run depends on: its task, its world, its model.
+    """Digests of the inputs of a run: its task, its world, its model.
 
     Args:
-        scene: as it is played, its options applied.
+        scene: with its options applied.
 
     Returns:
         ``task_hash``: what is asked of the arm, whichever the seed, method and model, with the content of the files
@@ -148,7 +148,7 @@ def identity(scene: Scene) -> dict[str, str | None]:
     """
     task = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
     if "robot" in task:
-        # Not where its file lies, as seen from where the program was begun.
+        # The file's name, without its folder, which depends on the working folder.
         task["robot"] = Path(scene.robot).name
     named = {text: place.read_bytes() for text in _texts(task)
              if os.path.isfile(place := (scene.folder or Path.cwd()) / text) and os.access(place, os.R_OK)}

@@ -1,4 +1,4 @@
-"""Where results go: checked before any work begins, and folders that change as one."""
+"""Writes results: places are checked before any work begins, and folders are replaced as a whole."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _check(path: Path, option: str, folder: bool) -> None:
 
 @contextmanager
 def folders_held() -> Iterator[None]:
-    """Folders that ``whole_folder`` writes meanwhile take their places when the block ends, and not where it fails.
+    """Within the block, folders of ``whole_folder`` wait; all are put in place at its end, none if it fails.
 
     So a file that is written after a folder, in the block, is whole before the folder is there.
 
@@ -98,10 +98,10 @@ def folders_held() -> Iterator[None]:
 
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """Yields a new folder to write into; its files take their places in ``folder`` together when the block ends.
+    """Yields a new folder to write into; at the end of the block its files go into ``folder`` together.
 
-    Other files of ``folder`` stay. Where the system cannot exchange folders at one stroke (not Linux, or ``folder`` is
-    the working folder, a mount point or holds folders), the files are moved one by one, each whole. Missing parents are
+    Other files of ``folder`` stay. Where the system cannot exchange folders atomically (not Linux, or ``folder`` is the
+    working folder, a mount point or holds folders), the files are moved one by one, each whole. Missing parents are
     made. Raises OutputError where it cannot be written; ``folder`` is as it was.
     """
     new: Path | None = None
@@ -145,12 +145,12 @@ def _take_place(new: Path, folder: Path) -> None:
             for entry in entries:
                 os.link(entry, new / entry.name, follow_symlinks=False)
             _exchange(new, folder)
-            for entry in new.iterdir():  # what came into the old folder between the look and the exchange
+            for entry in new.iterdir():  # files that came into the old folder between its listing and the exchange
                 if not (folder / entry.name).exists():
                     entry.replace(folder / entry.name)
             return
         except FileNotFoundError:
-            continue  # another run exchanged the folder under our eyes
+            continue  # another run exchanged the folder meanwhile
         except OSError:
             break  # a system that cannot link or exchange
         finally:

@@ -1,4 +1,4 @@
-"""Where in an arm's reach a line scene fits: place of the surface, size of the line, speed that the joints allow."""
+"""Places a line scene in an arm's reach: surface, size of the line, speed that the joints allow."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ FROM_LIMIT = 0.05
 
 @dataclass(frozen=True)
 class Place:
-    """Where a line fits.
+    """A place, size and speed of a line that the arm can follow.
 
     Attributes:
         origin, heading: of the surface [m], and about z [deg].
@@ -80,15 +80,15 @@ class Place:
 
     @property
     def tool(self) -> dict[str, float]:
-        """The scene's keys of the tool, where they are not as usual."""
+        """The scene's keys of the tool; empty for the default tool."""
         keys = {"tool_mm": self.tool_mm, "tool_turn_deg": self.tool_turn_deg}
         return {key: value for key, value in keys.items() if value}
 
 
 def place_line(scene: LineScene) -> Place:
-    """A long line across the arm that it can follow fast, ahead of it and beside nothing that it would hit.
+    """Finds a place for a long line across the arm that it can follow fast and without collisions.
 
-    Of the scene, shape of the line and run-up count. Raises InputError where it fits nowhere.
+    Only the line's shape and run-up are taken from the scene. Raises InputError where it fits nowhere.
     """
     robot = scene.arm
     highest = _highest(robot)
@@ -96,7 +96,7 @@ def place_line(scene: LineScene) -> Place:
         where = "hangs" if shoulder_height(robot) < 0.0 else f"has its tool no higher than {highest:.2f} m, thus"
         raise InputError(f"{robot.name} {where} below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
-    # Where the arm cannot move the camera about any line, the line is placed as if it could.
+    # Where the arm cannot calibrate the camera at any line, the line is placed without that condition.
     for seeing, tools, ahead, turn in product((True, False) if scene.calibration.by_moving else (False,),
                                               (TOOLS, LONG_TOOLS), (AHEAD, NEAR), TURNS):
         if (place := _placed(scene.changed(tool_turn_deg=turn), robot, (tools, ahead), seeing)) is not None:
@@ -152,7 +152,7 @@ def calibrates(scene: LineScene, robot: Robot) -> bool:
 
 
 def where_it_fits(scene: LineScene) -> str:
-    """A sentence about where in the reach of a scene's arm a line would fit."""
+    """A sentence that proposes a place for the line in the reach of a scene's arm."""
     try:
         place = place_line(scene)
     except InputError as error:
@@ -192,7 +192,7 @@ def resized(scene: LineScene, length: float, origin: tuple[float, float, float],
 
 
 def run_ups(length: float) -> dict[str, float]:
-    """Straight pieces before and behind a line of a length [m]: the usual ones, shorter for short lines."""
+    """Lengths of the straight segments before and behind a line [m]: the default ones, shorter for short lines."""
     return {"run_up": round(min(0.15, max(0.06, 0.25 * length)), 2), "run_out": round(min(0.05, 0.1 * length), 2)}
 
 
@@ -202,7 +202,7 @@ def wave(length: float) -> float:
 
 
 def formula(length: float) -> str:
-    """A sine of one and a half waves, its curvature the same whatever its length [m]."""
+    """Formula of a sine of one and a half waves over a length [m]; its curvature does not depend on the length."""
     return f"{0.04 * (wave(length) / 0.8) ** 2:.4g}*sin(2*pi*x/{wave(length):g})"
 
 
@@ -230,9 +230,9 @@ def scene_text(example: str, robot: str, place: Place) -> str:
 
 
 def fits(scene: LineScene, robot: Robot, wanted: float = FASTEST) -> float | None:
-    """The speed up to ``wanted`` at which the arm follows a line with some to spare [m/s]; None where it cannot.
+    """The speed up to ``wanted`` at which the arm follows the line with a margin [m/s]; None where it cannot.
 
-    ``scenes.line_way.line_way`` judges, as it does before every run; what is asked for beyond it is room.
+    ``scenes.line_way.line_way`` checks, as it does before every run; a margin is required in addition.
 
     Args:
         scene, robot: the line, and the arm with the scene's tool.
@@ -242,7 +242,7 @@ def fits(scene: LineScene, robot: Robot, wanted: float = FASTEST) -> float | Non
         reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
         kinematics = InverseKinematics(robot)
         for share in (0.0, 0.5, 1.0):
-            # Most places are refused here already, which is quicker than along the whole path.
+            # Most places are rejected here already, which is faster than along the whole path.
             kinematics.search(reference.pose(share * reference.length), robot.home, ATTEMPTS)
         way = line_way(scene, robot)
         if way.margin() < FROM_LIMIT:
@@ -253,7 +253,7 @@ def fits(scene: LineScene, robot: Robot, wanted: float = FASTEST) -> float | Non
                 replace(way, scene=scene.changed(speed=speed)).travel()
                 return speed
             except InputError:
-                # A short path is left for speeding up and braking, on which no joint's speed is the limit.
+                # On a short path the arm only accelerates and brakes, so that no joint's speed is the limit.
                 speed = math.floor(80.0 * speed) / 100.0
     except (InputError, OutOfReachError):
         pass

@@ -1,4 +1,4 @@
-"""Plays scenes of any kind from Python: with one method, with several, or run, diagnose and run again."""
+"""Runs scenes of any kind from Python: with one method, with several, or run, diagnose and run again."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ def run_scene(scene: Scene, *, method: Any = ..., out: Path | None = ..., progre
 
 def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
               **changes: Any) -> Any:
-    """Plays a scene and returns its typed result (``scenes.line.result.LineResult`` for a line).
+    """Runs a scene and returns its typed result (``scenes.line.result.LineResult`` for a line).
 
     Args:
-        scene: what to play.
+        scene: the scene.
         method: method key, or a ``Feedforward`` or a factory of one; the scene's own if None.
         out: folder for recording and report; nothing is written without.
         progress: called with the fraction done.
-        changes: keys of the scene to change, tables given as dictionaries and merged; or what the kind's ``run`` takes
-            besides (``sensors`` of a line).
+        changes: keys of the scene to change, tables given as dictionaries and merged; or further arguments of the
+            kind's ``run`` (``sensors`` of a line).
 
     Raises:
-        InputError: the scene cannot be played.
+        InputError: the scene cannot be run.
     """
     own = {key: value for key, value in changes.items() if key not in type(scene).model_fields}
     changed = scene.changed(**{key: value for key, value in changes.items() if key not in own})
@@ -64,15 +64,15 @@ def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, prog
 
 def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
                   progress: Progress = silent, **changes: Any) -> Any:
-    """Plays a scene with several methods.
+    """Runs a scene with several methods.
 
     Args:
-        scene: what to play.
+        scene: the scene.
         methods: method keys, ``Feedforward`` objects or factories; every method that applies if None.
         out, progress, changes: as for ``run_scene``.
 
     Raises:
-        InputError: the scene cannot be played.
+        InputError: the scene cannot be run.
     """
     changed = scene.changed(**changes) if changes else scene
     return kind_of(changed).compare(changed, methods=methods, out=out, progress=progress)
@@ -80,11 +80,11 @@ def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Pa
 
 def close_scene(scene: Scene, *, measured: str = "tcp", out: Path | None = None,
                 progress: Progress = silent) -> Closing:
-    """Plays a scene, finds what its model misses, extends the model and plays it again.
+    """Runs a scene, diagnoses what its model lacks, extends the model and runs it again.
 
     Args:
-        scene: what to play; its kind has to offer it.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp``.
+        scene: the scene; its kind has to support it.
+        measured: the measured quantities: ``motor``, ``arm`` or ``tcp``.
         out, progress: as for ``run_scene``; the model is written, too.
 
     Raises:

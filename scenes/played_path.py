@@ -1,4 +1,4 @@
-"""Plays a joint path from a file on an arm behind any interface: what is read, planned, compared and written."""
+"""Executes a joint path from a file on an arm behind any interface: reading, planning, comparing, writing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from sensing.force.sensors import open_force
 
 @dataclass(frozen=True)
 class PlaySettings:
-    """How a path is played.
+    """Settings of a path's execution.
 
     Attributes:
         arm: address of the arm's interface.
@@ -45,7 +45,7 @@ class PlaySettings:
         bridge: how long packets may be lost in a row [s].
         patience: how long the controller is waited for [s].
         core: processor core to keep to; None for any.
-        compare: whether the path is played as it is before it is played corrected.
+        compare: whether the path is first executed without correction.
         force: address of a force sensor; None without one.
         force_delay: from the measurement to its arrival, at least [s].
         most_force: force that the path may meet [N]; 0 where it is to touch nothing.
@@ -71,18 +71,18 @@ class PlaySettings:
 
 @dataclass(frozen=True)
 class PlannedPath:
-    """A path, ready to be played.
+    """A path, ready to be executed.
 
     Attributes:
         arm: with the cycle of the controller.
-        law: what corrects it while it is played.
+        law: corrects the path during its execution.
         desired: where the arm shall be at the cycles ``(N, n)`` [rad], rests included.
-        commands: what ``law`` is given ``(N, n)`` [rad]: the file's commands, or ``desired``.
+        commands: input of ``law`` ``(N, n)`` [rad]: the file's commands, or ``desired``.
         rest: rows of rest before the path.
         within: time in which the arm's loop answers a command [s]; None where it is not known.
         response: impulse response of the arm's loop ``(L, n)``; None where it is not known.
         meta: for the recording.
-        warnings: what its user shall know before it is played.
+        warnings: warnings for the user before the execution.
     """
 
     arm: Robot
@@ -97,7 +97,7 @@ class PlannedPath:
 
     @property
     def corrected(self) -> bool:
-        """Whether what is sent differs from what is desired."""
+        """Whether the commands differ from the desired path."""
         return not isinstance(self.law, PassThrough) or not np.array_equal(self.desired, self.commands)
 
     def plain(self) -> PlannedPath:
@@ -106,12 +106,12 @@ class PlannedPath:
                        meta={**self.meta, "method": "none"})
 
     def player(self, link: Any, felt: Felt | None = None, patience: float = PATIENCE) -> PathPlayer:
-        """The player of this path on a connected arm.
+        """The player that executes this path on a connected arm.
 
         Args:
             link: the arm, connected.
             felt: force sensor; None without one.
-            patience: how long an arm that stands still is waited for [s].
+            patience: longest time to wait for an arm that stands still [s].
         """
         return PathPlayer(link, self.law, self.commands, self.rest, self.meta, self.warnings, recorded=self.desired,
                           led=True, response=self.response, felt=felt, patience=patience)
@@ -121,14 +121,14 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
     """Reads a path and checks it before anything is connected.
 
     With the method ``none`` commands ``q_c`` are sent where the file has them, else ``q_d``, else ``q``; errors are
-    counted against ``q_d``, where the file has it. Any other method corrects ``q_d``, else ``q``, else ``q_c``.
+    relative to ``q_d``, where the file has it. Any other method corrects ``q_d``, else ``q``, else ``q_c``.
 
     Args:
         path: CSV or Parquet with ``t`` and ``q_c_i``, ``q_d_i`` or ``q_i``, at any sampling.
-        settings: how it is played.
+        settings: settings of the execution.
 
     Raises:
-        InputError: anything of this cannot be used, or the path leaves the arm's limits.
+        InputError: an argument cannot be used, or the path leaves the arm's limits.
     """
     interface, _ = interface_of(settings.arm)
     robot = settings.robot or (None if settings.model is not None else _named(path))
@@ -163,11 +163,11 @@ def _named(path: Path) -> str:
 
 @dataclass(frozen=True)
 class PlayedPath:
-    """What came of a path.
+    """The result of an executed path.
 
     Attributes:
-        run: the path as it was to be played.
-        before: the path without correction, where it was played to compare.
+        run: the run of the path.
+        before: the path without correction, where it was run for comparison.
         arm: whose errors these are.
     """
 
@@ -177,7 +177,7 @@ class PlayedPath:
 
     @property
     def failure(self) -> str | None:
-        """Why it was not played to its end, or None."""
+        """Why the path was not executed to its end, or None."""
         return self.run.failure if self.before is None else self.before.failure or self.run.failure
 
     def json(self) -> dict[str, Any]:
@@ -187,7 +187,7 @@ class PlayedPath:
                     **self.before.json(), "flange_error": tool_errors(self.before, self.arm).json_mm()}})}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Errors joint by joint and of the tool, before and after where both were played."""
+        """Errors joint by joint and of the tool, before and after where both were run."""
         runs = [run for run in (self.before, self.run) if run is not None]
         columns = ["error", *(["before", "after"] if len(runs) == 2 else ["rms"])]
         units = self.arm.units("mrad")
@@ -202,7 +202,7 @@ class PlayedPath:
 
 
 def tool_errors(run: PathRun, arm: Robot) -> PathErrors:
-    """Errors of the tool by the motor angles, rest before the path left out."""
+    """Errors of the tool by the motor angles, without the rest before the path."""
     data, rec = arm.pinocchio.createData(), run.recording
 
     def positions(q: Array) -> Array:
@@ -218,16 +218,16 @@ def tool_errors(run: PathRun, arm: Robot) -> PathErrors:
 
 
 def played_path(planned: PlannedPath, settings: PlaySettings, progress: Progress = silent) -> PlayedPath:
-    """Plays a path: slowly to its start, the path, to rest; before it the path as it is, where that is asked for.
+    """Executes a path: slowly to its start, along it, to rest; before that without correction, if set.
 
     Args:
         planned: the path.
-        settings: how it is played.
+        settings: settings of the execution.
         progress: called with the share done.
 
     Raises:
         InputError: a path that is not corrected and was to be compared.
-        IdealRobotError: no controller came, or the arm cannot be led to the start.
+        IdealRobotError: no controller connects, or the arm cannot be moved to the start.
     """
     if settings.compare and not planned.corrected:
         raise InputError("the path is sent as it is desired, there is nothing to compare; give a path that precorrect "

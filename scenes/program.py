@@ -1,4 +1,4 @@
-"""The program that runs: whether imports find its folders, and what wrote a file of results, on which machine."""
+"""The running program: whether imports find its folders, its version, and the machine, for files of results."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _source_digest() -> str:
 
 
 def machine() -> dict[str, str]:
-    """What computed: kind of processor, system, Python, and the libraries that decide the last digits."""
+    """The machine: kind of processor, system, Python, and the libraries that decide the last digits."""
     from importlib import metadata
 
     libraries = {name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pin", "pybullet")}
@@ -64,7 +64,7 @@ ORIGIN = ("version", "commit", "digest", "computer", "when")
 
 
 def origin() -> dict[str, str | None]:
-    """What computes now, on which computer, and the time (UTC): the keys of ``ORIGIN``."""
+    """The program, the computer, and the time (UTC): the keys of ``ORIGIN``."""
     return {**program(), "computer": platform.node() or platform.machine(),
             "when": datetime.now(UTC).isoformat(timespec="seconds")}
 
@@ -83,7 +83,7 @@ def signed(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def told_apart(answer: dict[str, Any]) -> dict[str, Any]:
-    """Results, then ``times`` and ``files`` as tables of their own where there are any.
+    """Splits an answer into results, then ``times`` and ``files`` as tables of their own where there are any.
 
     >>> told_apart({"report": "out/report.html", "seed": 1, "seconds": 0.2})
     {'seed': 1, 'times': {'seconds': 0.2}, 'files': {'report': 'out/report.html'}}
@@ -105,7 +105,7 @@ def example_files() -> list[Path]:
                      file=_ROOT / data)
 
 
-# Folders of a user's that hide ours of the same name: a repository with a ``sim`` of its own.
+# Folders of the user's that hide this program's packages: a repository with a ``sim`` of its own.
 
 def _hidden() -> dict[str, str]:
     """What is found in place of our packages: name → place."""
@@ -119,13 +119,13 @@ def _hidden() -> dict[str, str]:
 
 
 def check_rooms() -> None:
-    """Raises InputError where imports find a folder of the same name in place of one of our packages."""
+    """Raises InputError where imports find a folder of the same name instead of a package of this program."""
     for room, place in _hidden().items():
         raise InputError(f"hides the package {room} of ideal-robot, which is looked for by that name; rename it, start "
                          "from another folder, or call the program ideal-robot, which finds its own", file=place)
 
 
 def find_ours_first() -> None:
-    """Puts our packages before folders of the same names, in a process that is ours alone."""
+    """Puts this program's packages before folders of the same names on the import path of this process."""
     if _hidden():
         sys.path.insert(0, str(_ROOT))

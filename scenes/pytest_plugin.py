@@ -1,4 +1,4 @@
-"""A pytest plugin: scenes are played in tests, errors asserted on, and compared with the last accepted ones.
+"""A pytest plugin: runs scenes in tests, asserts on errors, and compares them with the last accepted ones.
 
     @pytest.mark.ideal_scene("straight", world="bench", speed=0.4)
     def test_the_line_is_followed(path_error, baseline):
@@ -30,7 +30,7 @@ MARKER = "ideal_scene"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Adds the options."""
+    """Adds the plugin's command-line options."""
     group = parser.getgroup("ideal-robot")
     group.addoption("--update-path-errors", action="store_true", help="write the path errors of the tests that are run "
                                                                        "as their new baselines")
@@ -39,13 +39,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Makes the marker known."""
+    """Registers the marker."""
     config.addinivalue_line("markers", f"{MARKER}(name, **changes): scene that the fixtures play, and keys to change")
 
 
 @pytest.fixture
 def ideal_scene(request: pytest.FixtureRequest) -> Scene:
-    """The scene of the marker, its changes applied; a path is taken as seen from the test's folder."""
+    """The scene of the marker with its changes; a relative path starts from the test's folder."""
     from scenes.program import check_rooms
 
     marker = request.node.get_closest_marker(MARKER)
@@ -61,13 +61,13 @@ def ideal_scene(request: pytest.FixtureRequest) -> Scene:
         return scene.changed(**marker.kwargs) if marker.kwargs else scene
     except InputError as error:
         message = str(error)
-    # Outside of its handling: within, pytest shows the error and what led to it beside the sentence.
+    # Outside of the exception's handling: within, pytest also shows the error and its causes.
     pytest.fail(message, pytrace=False)
 
 
 @pytest.fixture
 def path_error(request: pytest.FixtureRequest, ideal_scene: Scene) -> Callable[..., Results]:
-    """Plays the marker's scene: ``path_error(seeds=…, method=…)`` gives the results, a row a seed."""
+    """Runs the marker's scene: ``path_error(seeds=…, method=…)`` gives the results, one row per seed."""
     from scenes.models import cache_folder
     from scenes.regression.results import Results
 
@@ -101,7 +101,7 @@ def _answer(scene: Scene, method: str | None, folder: Path, fresh: bool) -> dict
 
 @pytest.fixture
 def baseline(request: pytest.FixtureRequest) -> Callable[[Results], None]:
-    """``baseline(results)`` fails the test where they are worse than those that were accepted last."""
+    """A check: ``baseline(results)`` fails the test where they are worse than the last accepted ones."""
     from scenes.regression.comparison import compared
     from scenes.regression.formats import markdown
     from scenes.regression.results import read_results

@@ -1,4 +1,4 @@
-"""What playing a scene returns, whatever its kind: enough for the command line, sweeps and scripts."""
+"""Interfaces of results of running a scene of any kind, for command line, sweeps and scripts."""
 
 from __future__ import annotations
 
@@ -21,42 +21,42 @@ __all__ = ["CompareResult", "Progress", "RunResult", "part_of", "silent"]
 
 
 class RunResult(Protocol):
-    """One scene played with one method."""
+    """The result of one scene with one method."""
 
     @property
     def failure(self) -> str | None:
-        """Why the run ended early, or None; what was done until then is kept."""
+        """Why the run ended early, or None; results until then are kept."""
 
     @property
     def report(self) -> Path | None:
-        """The HTML page, where one was asked for."""
+        """The HTML page, where one was written."""
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
 
     def summary(self) -> list[tuple[str, str]]:
-        """The few figures a person wants first: label and value with unit."""
+        """The main figures as rows of label and value with unit."""
 
     def next_steps(self) -> list[tuple[str, str]]:
-        """What to do next: sentences, each with the command line that does it."""
+        """The next steps, each a sentence and its command line."""
 
 
 class CompareResult(Protocol):
-    """One scene played with several methods."""
+    """The result of one scene with several methods."""
 
     @property
     def report(self) -> Path | None:
-        """The HTML page, where one was asked for."""
+        """The HTML page, where one was written."""
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``; the runs stand under ``methods``."""
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Column titles and rows, one row a method."""
+        """Column titles and rows, one row per method."""
 
 
 class Shown(ABC):
-    """Base of what playing a scene gives; ``scene`` and ``json`` are the subclass's."""
+    """Base of results of running a scene; the subclass has ``scene`` and ``json``."""
 
     scene: Any
 
@@ -70,7 +70,7 @@ class Shown(ABC):
 
 
 class ShownRun(Shown, Summarised):
-    """Base of results of a scene that was played once; ``failure`` is the subclass's, too."""
+    """Base of results of one run of a scene; the subclass also has ``failure``."""
 
     failure: str | None
 
@@ -79,7 +79,7 @@ class ShownRun(Shown, Summarised):
         """The picture that shows the error of the run."""
 
     def next_steps(self) -> list[tuple[str, str]]:
-        """What to do next: sentences, each with the command line that does it."""
+        """The next steps, each a sentence and its command line."""
         return []
 
     def __repr__(self) -> str:
@@ -89,14 +89,14 @@ class ShownRun(Shown, Summarised):
 
 
 class ShownTable(Shown):
-    """Base of results of a scene that was played several times."""
+    """Base of results of several runs of a scene."""
 
     @abstractmethod
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Column titles and rows, one a method or model, whose name stands first."""
+        """Column titles and rows, one per method or model, whose name comes first."""
 
     def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
-        """The table, for prompt and notebook."""
+        """The table for prompt and notebook."""
         columns, rows = self.table()
         return tuple(columns), rows
 
@@ -110,7 +110,7 @@ class ShownTable(Shown):
         return html_table(*self.rows())
 
     def plot(self) -> Figure:
-        """The first figure of the table that is a number, a bar a method or model."""
+        """Bar chart of the first numeric column, one bar per method or model."""
         columns, rows = self.rows()
         numbers = [i for i in range(1, len(columns)) if any(isinstance(row[i], float) for row in rows)]
         values = [(str(row[0]), float(row[numbers[0]]) if numbers and isinstance(row[numbers[0]], float) else np.nan)

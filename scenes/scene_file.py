@@ -20,7 +20,7 @@ def library() -> Path:
 
 
 def as_typed(scene: Any) -> str:
-    """A scene as the command line takes it: its name where it is a shipped one, else its file."""
+    """A scene's name for the command line: its own where it is a shipped one, else its file."""
     return str(scene.name if Path(scene.source).parent == library() else scene.source)
 
 
@@ -35,7 +35,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
     ('line', 'kr6', 0.4)
     """
     path, values = scene_values(name_or_path)
-    # What plays a scene is large, and not loaded before there is one.
+    # The modules of the kinds are large, and loaded only when a scene is.
     from scenes.kind import KINDS
     from scenes.scene_files.scene import scene_in_file
 
@@ -46,7 +46,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def scene_values(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """Where a scene's file is, and its keys, not yet checked; InputError as of ``find_scene``, or for broken TOML."""
+    """File and keys of a scene, not yet checked; InputError as of ``find_scene``, or for broken TOML."""
     path = find_scene(str(name_or_path))
     values = read_toml(path, "a scene file")
     values.setdefault("name", path.stem)
@@ -54,7 +54,7 @@ def scene_values(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
 
 
 def find_scene(wanted: str) -> Path:
-    """The file of a scene: a path is taken if it looks like one; a name is looked up here and in the library.
+    """The file of a scene: of a path as given; of a name in the working folder or in the library.
 
     Raises:
         InputError: no such scene, two scenes of the same name.
@@ -83,6 +83,6 @@ def _name(path: Path, wanted: str) -> str | None:
     try:
         values = read_toml(path, "a scene file")
     except InputError:
-        # A broken neighbour must not stop other scenes; asked for by name, it is reported when parsed.
+        # A broken file beside it must not stop other scenes; if it is named, it is reported when parsed.
         values = {}
     return str(values.get("name", path.stem)) if "kind" in values or path.stem == wanted else None

@@ -34,16 +34,16 @@ from sim.arm.world import World
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """One key of a scene file.
+    """One key of a scene file, with its meaning.
 
     Attributes:
-        table: the table it stands in, e.g. ``camera``; empty for the top.
+        table: the table that it belongs to, e.g. ``camera``; empty for the top.
         name: the key.
         default: as it is written in TOML; None where it must be given or nothing is the default.
         required: whether it must be given.
         allowed: type and limits, for people.
         meaning: one sentence; empty where name and unit say it.
-        many: whether the table may stand several times (``[[feature]]``).
+        many: whether the table may occur several times (``[[feature]]``).
     """
 
     table: str
@@ -58,7 +58,7 @@ class Key:
 def scene_keys(kind: str) -> tuple[Key, ...]:
     """All keys of a kind of scene, tables after the keys at the top."""
     scene = KINDS.get(kind).scene
-    # What a workshop has is what holds where a file says nothing.
+    # The defaults of a ``workshop`` apply where a file has no value.
     usual = {(table, name): _toml(value) for table, keys in scene.workshop.items() for name, value in keys.items()}
     keys = tuple(dataclasses.replace(key, default=usual.get((key.table, key.name), key.default))
                  for key in _keys(scene, "", False))
@@ -73,7 +73,7 @@ def world_keys() -> tuple[Key, ...]:
         meanings |= {name.strip(): " ".join(text.split()) for name in names.split(",")}
     fields = [field for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque")]
     for field in fields:
-        # A number that belongs to another is explained there.
+        # A field that is described with another field has the explanation of that one.
         explained = next((text for text in meanings.values() if f"``{field.name}``" in text), "")
         meanings.setdefault(field.name, explained)
     base = Key("world", "base", None, False, " or ".join(WORLDS), "World that the scene runs in; "
@@ -104,7 +104,7 @@ def json_schema(kind: str) -> dict[str, Any]:
 
 
 def commented_scene(name: str, kind: str, example: str) -> str:
-    """A scene file to start from: a shipped example's text, then every other key with its default, as comments.
+    """A scene file to start from: a shipped example, then every other key with its default as a comment.
 
     Args:
         name: of the new scene, for its title.
@@ -118,7 +118,7 @@ def commented_scene(name: str, kind: str, example: str) -> str:
     rest = [key for key in scene_keys(kind) if key.table]
     tables = list(dict.fromkeys((key.table, key.many) for key in rest))
     if top:
-        # A key after a table's header would belong to that table, so these stand before the first one.
+        # A key after a table's header would belong to that table, so these keys come before the first one.
         head, mark, tail = lines[1].partition("\n[")
         lines[1] = "\n".join([head.rstrip(), *(_comment(key) for key in top)]) + ("\n" + mark + tail if mark else "")
     for table, many in tables:
@@ -138,7 +138,7 @@ def commented_scene(name: str, kind: str, example: str) -> str:
 
 
 def keys_pages() -> dict[str, str]:
-    """Pages of all keys in Markdown, by their place in the documentation: one by kind of scene, one of the world."""
+    """Documentation pages of all keys in Markdown, by path: one per kind of scene, one of the world."""
     about = {kind: (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0] for kind in KINDS.names()}
     told: dict[str, str] = {}
     pages = {f"scene_keys/{kind}.md":
@@ -287,7 +287,7 @@ def _comment(key: Key) -> str:
 
 
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:
-    """Titles and rows of a list.
+    """Titles and rows of a list of ``ideal-robot list``.
 
     Args:
         what: ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors``, ``interfaces`` or ``keys``.

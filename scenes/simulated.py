@@ -1,4 +1,4 @@
-"""A task on the simulated arm: its cycles, and the recording that a controller would have made of them."""
+"""Runs a task on the simulated arm, and makes the recording that a controller would have logged."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from sim.equipped_arm import Carried, EquippedArm
 
 def done(task: Task, arm: SimulatedArm, carried: Sequence[Carried], limits: Robot, settings: CycleSettings,
          progress: Progress) -> float:
-    """Does a task; how long that took [s].
+    """Runs a task; returns the elapsed time [s].
 
     Args:
         task: its devices connected.
         arm: at rest at the task's start.
         carried: sensors that measure while the arm moves.
-        limits: what commands must keep.
+        limits: limits of the commands.
         settings: how it ends.
         progress: called with the fraction done.
     """
@@ -41,17 +41,17 @@ def done(task: Task, arm: SimulatedArm, carried: Sequence[Carried], limits: Robo
 
 def recorded(arm: SimulatedArm, scene: LineScene | ForceScene, method: str, log: TaskLog, external: bool,
              meta: dict[str, Any], points: int = 0) -> Recording:
-    """The arm's own recording with columns of what was sensed and desired, and why the arm stopped.
+    """The arm's recording with columns of sensor data and desired positions, and why the arm stopped.
 
     ``q_d_i`` desired arm angles. For each camera field, in the row at its time stamp and NaN elsewhere: ``cam_t`` [s]
     and the line points in the tool frame ``line_x_i line_y_i line_z_i`` [m] (points that were left out are NaN). Of a
-    force sensor the wrench as sensed, and the felt normal force ``f_normal``.
+    force sensor the measured wrench and the normal force ``f_normal``.
 
     Args:
         arm: that has moved.
-        scene: what was played.
+        scene: the scene.
         method: key of how.
-        log: what was written down meanwhile.
+        log: the log of the run.
         external: whether a device measured where the tool was.
         meta: more for the recording's metadata.
         points: line points of a field.

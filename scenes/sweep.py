@@ -28,7 +28,7 @@ from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, chosen
 from scenes.workers import LostError, work_off, work_off_on
 
-# Answers of a sweep as they come, one JSON line each, so that a sweep that was ended can go on.
+# Stores answers of a sweep as they come, one JSON line each, so that an interrupted sweep can continue.
 
 FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_error_mm.p95": "95 % mm",
            "control_error_mm.max": "max mm", "path_error_mm.time_matched.E_car": "E_car mm",
@@ -39,14 +39,14 @@ _LARGEST = 1e15
 
 
 class Kept:
-    """Keeps answers as they come, so that a sweep that was ended can go on; this one keeps none."""
+    """Stores answers as they come, so that a sweep can be continued; this base class stores none."""
 
     def __init__(self) -> None:
         self.answers: dict[Hashable, dict[str, Any]] = {}
         """Answers of earlier sweeps, by ``key_of`` their job."""
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
-        """Keeps an answer; it is on the disk when this returns."""
+        """Stores an answer; it is on the disk when this returns."""
 
     def close(self) -> None:
         """Called when the sweep has ended, in whatever way."""
@@ -58,7 +58,7 @@ class SweepFile(Kept):
     Without ``resume`` a file that is there is refused by InputError, as is one of something else.
 
     Attributes:
-        lines: what was read, whole lines by ``key_of`` their job.
+        lines: lines that were read, by ``key_of`` their job.
     """
 
     def __init__(self, path: Path, *, resume: bool) -> None:
@@ -93,7 +93,7 @@ class SweepFile(Kept):
         self.keep(job, answer)
 
     def keep(self, job: dict[str, Any], answer: dict[str, Any], **more: Any) -> None:
-        """Adds an answer, see ``add``, with more entries on the line, which ``lines`` has after it was read again.
+        """Adds an answer with further entries of its line, which ``lines`` has when the file is read again.
 
         Args:
             job, answer: as for ``add``.
@@ -139,7 +139,7 @@ def _append(descriptor: int, line: bytes) -> None:
 
 
 def key_of(job: dict[str, Any]) -> str:
-    """What distinguishes a job from others."""
+    """A text that identifies a job."""
     return json.dumps(plain(job), sort_keys=True)
 
 
@@ -165,11 +165,11 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
 
     Args:
         scenes: names, paths of scene files, or scenes.
-        methods: keys, or what ``run_scene`` takes besides; with more than one process it has to be importable.
+        methods: keys, or other methods that ``run_scene`` takes; with more than one process they must be importable.
         speeds: [m/s].
         seeds: of all that is drawn.
         individuals: arms of the type, each with the model of its own identification motions.
-        world: where all scenes play; where their files say if None.
+        world: world of all scenes; that of their files if None.
     """
     own: tuple[None] = (None,)
     count = math.prod(len(values) or 1 for values in (scenes, methods, speeds, seeds, individuals))
@@ -180,12 +180,12 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
 
 
 def play(job: Job, seen: Callable[[Scene, Any], None] = lambda scene, result: None) -> dict[str, Any]:
-    """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep.
+    """Runs one job without writing files; a failure is part of the answer and does not end the sweep.
 
-    But for MemoryError, which says nothing of the run, but of what was beside it.
+    Only MemoryError is raised, as it depends on other processes.
 
     Args:
-        job: what to play.
+        job: the job.
         seen: called with the scene and its result, which the answer has only the figures of.
     """
     answer = _named(job)
@@ -193,7 +193,7 @@ def play(job: Job, seen: Callable[[Scene, Any], None] = lambda scene, result: No
         scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed, individual=job.individual,
                        world=job.world)
         kind, method = kind_of(scene), job.method or getattr(scene, "method", None)
-        # Said before it is played, so that a run which fails is known as the one that did not.
+        # These entries are set before the run, so that a failed run can be identified.
         answer |= {**scene.played(), "speed_m_s": getattr(scene, "speed", None), **identity(scene),
                    "method": method and method_of(method, kind.methods()).key}
         result = kind.run(scene, method=job.method, out=None, progress=silent)
@@ -201,27 +201,27 @@ def play(job: Job, seen: Callable[[Scene, Any], None] = lambda scene, result: No
         return {**answer, **result.json(), "failure": result.failure}
     except MemoryError:
         raise
-    except Exception as error:  # one run that cannot be computed is a row among the others
+    except Exception as error:  # a failed run is one row among the others
         return {**answer, "failure": described(error)}
 
 
 def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
           done: Callable[[int, dict[str, Any]], None] = lambda count, answer: None, file: Kept | None = None,
           function: Callable[[Job], dict[str, Any]] = play, limit: float = TIME_LIMIT) -> list[dict[str, Any]]:
-    """Plays all jobs and returns their answers in the order of ``work``.
+    """Runs all jobs and returns their answers in the order of ``work``.
 
     A job is answered when ``function`` has returned, be it with a failure of the run itself. Of a job whose process,
     worker or scheduler was lost the answer has the reason under ``not_played``; it is not written to ``file``, so that
-    the next sweep with the file plays it.
+    the next sweep with the file runs it.
 
     Args:
-        work: what to play.
+        work: the jobs.
         processes: local processes; not used with ``dask``.
         dask: address of a running Dask scheduler, e.g. ``tcp://host:8786``.
         done: called with the number of jobs finished and the last one's answer, once that is kept.
-        file: where answers are written as they come; jobs that it holds are not played again.
-        function: plays a job.
-        limit: how long a run may take [s]; one that hangs is ended, begun once more, and not played.
+        file: where answers are written as they come; jobs that it holds are not run again.
+        function: runs a job.
+        limit: longest duration of a run [s]; one that hangs is ended, tried a second time, and then given up.
 
     Raises:
         InputError: a scene cannot be used, none of them knows a method, or no scheduler answers at ``dask``.
@@ -258,7 +258,7 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
 def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence[Any] = (),
                 speeds: Sequence[float] = (), seeds: Sequence[int] = (), individuals: Sequence[int] = (),
                 processes: int = 2, dask: str | None = None) -> pd.DataFrame:
-    """Plays many runs and returns a table with one row each; a run that fails is a row with its ``failure``.
+    """Does many runs and returns a table with one row each; a failed run has its ``failure`` in its row.
 
     Args:
         scene: one or several, by name, path or as loaded.

@@ -1,4 +1,4 @@
-"""What a scene's world holds that its model does not know, and which worlds cannot be closed."""
+"""Differences between a scene's world and its model, and worlds in which the loop cannot be closed."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ _REASONS = {
 
 
 def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
-    """Effects by which the scene's world differs from the default one, with the joints they sit in (0: all ``n``).
+    """Effects by which the scene's world differs from the default one, with their joints (0: all ``n``).
 
-    Raises InputError for a world that cannot be closed, which key and why; or one that holds nothing undeclared.
+    Raises InputError, with key and reason, for a world in which the loop cannot be closed or that has no such effect.
     """
     result = effects_of_world(scene, n)
     if not result:
@@ -66,7 +66,7 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
 
 
 def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
-    """Effects of a world that may hold none, see ``undeclared_effects``."""
+    """Effects of a world as in ``undeclared_effects``, possibly none."""
     default, file = World.default(scene.robot), scene.source
     world = World.from_table(scene.robot, scene.arm_world, file)
     for key, value in scene.arm_world.items():
@@ -92,14 +92,14 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
 
 
 def keys_of_arm(scene: Scene) -> tuple[str, ...]:
-    """Keys of the scene's world that say that the arm is not as its model, beyond what its kind of world has anyway."""
+    """Keys of the scene's world by which the arm differs from its model, beyond the defaults of its kind of world."""
     default, usual = World.default(scene.robot), scene.usual(scene.world.get("base", BENCH)).get("world", {})
     return tuple(key for key, value in scene.arm_world.items() if key in EFFECTS_OF_KEY and value != usual.get(key)
                  and _differs(default, key, value))
 
 
 def of_controllers(scene: Scene) -> tuple[str, ...]:
-    """Keys of the scene's world that say that the arm's joint controllers are not those of its model."""
+    """Keys of the scene's world by which the arm's joint controllers differ from the model's."""
     default = World.default(scene.robot)
     usual = scene.usual(scene.world.get("base", BENCH)).get("world", {})
     return tuple(key for key, value in scene.arm_world.items() if key in OF_CONTROLLERS and value != usual.get(key)
@@ -107,7 +107,7 @@ def of_controllers(scene: Scene) -> tuple[str, ...]:
 
 
 def declared_world(scene: Scene) -> dict[str, Any]:
-    """The part of the world that an own model of the arm is identified in: without what is undeclared."""
+    """The world in which the arm's own model is identified: without the undeclared effects."""
     return {key: value for key, value in scene.arm_world.items() if key in _SETTINGS}
 
 

@@ -1,4 +1,4 @@
-"""Words that judge a number, in colour wherever a table shows them: green for good, red for bad, gray for undecided."""
+"""Words that rate a number, coloured in tables: green for good, red for bad, gray for undecided."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _WORDS = {"better": GOOD, "same": GOOD, "kept": GOOD, "best": GOOD, "worse": BAD
 
 
 class Verdict(str):
-    """A cell of a table that says whether something is good; as text it is the text.
+    """A cell of a table that says whether something is good; as a string it is its text.
 
     Args:
         text: shown; begins with a word of ``_WORDS`` where ``kind`` is not given.

@@ -1,4 +1,4 @@
-"""A list that is worked off by processes of this machine, or on a running Dask cluster.
+"""Processes a list of tasks in processes of this machine, or on a running Dask cluster.
 
 A lost process is replaced, none outlives its parent, an interrupt ends all at once. A cluster may lose workers, its
 scheduler, or all of them. A task that hangs, takes all memory or ends its process costs only itself: it is begun twice,
@@ -37,7 +37,7 @@ _LOOK = 0.5
 
 
 class LostError(Exception):
-    """The process that worked on a task ended each time, e.g. for want of memory, or was ended for taking too long."""
+    """The process of a task died each time, e.g. for lack of memory, or was ended for taking too long."""
 
 
 def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: int,
@@ -45,7 +45,7 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
     """Yields index and result of each task as they are done; a ``LostError`` where the process was lost every time.
 
     Args:
-        tasks: what ``function`` is called with.
+        tasks: arguments of ``function``.
         function: of a module, so that every system can hand it to a process; must not raise but for want of memory.
         processes: how many at once.
         limit: how long a task may take [s]; its process is ended then.
@@ -67,7 +67,7 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
                 if error is None and process.tasks < TASKS:
                     yield index, future.result()
                     continue
-                # Another process may have the memory that this one has not, with all that its tasks have left behind.
+                # A new process may have more memory, as this one keeps that of its earlier tasks.
                 crew.remove(process)
                 code = process.end()
                 if error is None:
@@ -112,10 +112,10 @@ class _Process(ProcessPoolExecutor):
 
 
 def _prepared(parent: int) -> None:
-    # Ctrl-C goes to all processes of a terminal; the parent answers it for all.
+    # A terminal sends Ctrl-C to all processes; the parent handles it for all.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    # A process that needs more than half of the memory fails itself, before the system ends one of its own choice.
+    # A process that needs more than half of the memory fails, before the system ends another one.
     half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     resource.setrlimit(resource.RLIMIT_DATA, (half, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -154,23 +154,23 @@ _RESULTS_LOOK = 0.02
 
 
 def batch_lasts(workers: int) -> float:
-    """Duration of a batch's tasks [s] by which the client keeps ``workers`` busy, with half to spare."""
+    """Duration of a batch's tasks [s] with which the client keeps ``workers`` busy, with a margin of half."""
     return max(BATCH, 1.5 * SPENT * workers)
 
 
 def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], Any],
                 limit: float = TIME_LIMIT) -> Iterator[tuple[int, Any]]:
-    """Yields index and result of each task as they are done, each once; a ``LostError`` where none could be brought.
+    """Yields index and result of each task as they are done, each once; a ``LostError`` where none was possible.
 
-    Short tasks are handed over in batches. Where a batch's worker is lost each time, its tasks are begun alone after
-    all others, so that the one that ends its worker costs no other. A scheduler that has gone is waited for, and a new
-    one at the same address gets what is left. Raises InputError where none answers, or Dask is not installed.
+    Short tasks are handed over in batches. Where a batch's worker is lost each time, its tasks are run alone after all
+    others, so that only one task is lost with its worker. After a loss of the scheduler it waits for a new one at the
+    same address, which gets the remaining tasks. Raises InputError where none answers, or Dask is not installed.
 
     Args:
         address: of a running Dask scheduler.
-        tasks: what ``function`` is called with.
+        tasks: arguments of ``function``.
         function: of a module that the workers can import.
-        limit: how long a task may take [s]; its worker ends then, and a nanny begins it anew.
+        limit: longest duration of a task [s]; then its worker is ended, and Dask's nanny restarts it.
     """
     try:
         from dask.distributed import Client
@@ -270,7 +270,7 @@ class _Handed:
                 coming.add(future)
             for future in coming.next_batch(block=False) if coming.has_ready() else ():
                 results = self._fetched(future)
-                if results is None:  # its worker has gone with it: another one does it again
+                if results is None:  # its worker has gone with it, so another one repeats it
                     coming.add(future)
                     continue
                 patience = Deadline.within(PATIENCE)
@@ -289,7 +289,7 @@ class _Handed:
         batch = self._queue.popleft() if self._queue else list(itertools.islice(self._next, self._size))
         if batch or self.pending or not self._suspects:
             return batch
-        # Alone: of several jobs that a dead worker had, nobody could say which one killed it.
+        # Suspects run alone, as a dead worker does not show which of its jobs killed it.
         return [self._suspects.popleft()]
 
     def _fetched(self, future: Any) -> list[tuple[int, Any]] | None:
@@ -305,7 +305,7 @@ class _Handed:
         except (KilledWorker, MemoryError) as error:
             return self._lost(future, f"its worker was lost each time ({type(error).__name__}), or it did "
                                       f"not end within {self.limit:g} s")
-        except Exception as error:  # whatever else a cluster makes of a task
+        except Exception as error:  # any other exception of a cluster
             return self._lost(future, f"the cluster lost it ({type(error).__name__})")
         batch = self.pending.pop(future)
         self._size = int(min(max(batch_lasts(self._workers) / max(seconds, 1e-6), 1.0), _MOST_OF_A_BATCH))
@@ -338,5 +338,5 @@ def _workers(client: Client) -> int:
     """Workers that the scheduler knows; 0 if it does not answer."""
     try:
         return len(client.sync(client.scheduler.ncores, callback_timeout=_ANSWERS))
-    except Exception:  # a scheduler that has gone, hangs, or is another one by now
+    except Exception:  # a scheduler that has ended, hangs, or was replaced
         return 0

@@ -1,5 +1,5 @@
-"""Closing the loop: play, find what the model lacks, add it, play again, keep it or take it back.
+"""The closing loop: run, find what the model lacks, add it, run again, keep or reject it.
 
-One loop (``loop``) serves every kind of scene; a kind brings a ``Subject``: how it plays, what it diagnoses, and what
-its cell measures of the error. One rule (``rule``) decides what stays. One result (``result``) tells what came of it.
+One loop (``loop``) serves every kind of scene; a kind brings a ``Subject``: how it runs, what it diagnoses, and which
+error its cell measures. One rule (``Comparison``) decides what is kept. One result (``result``) reports all trials.
 """

@@ -1,4 +1,4 @@
-"""Joint controllers as a change of a model: found anew from a motion, and said in the field's words."""
+"""Changes a model's joint controllers to those identified from a motion, and describes the difference."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHOWN_LATE, _SHOWN_LAG, _SHOWN_SHARE = 5e-4, 2e-3, 0.1
 
 
 def controllers_anew(known: Model, moved: Recording, robot: Robot) -> Form | None:
-    """The form that exchanges the joint controllers for those that a motion shows; None where it shows none.
+    """The change that replaces the joint controllers by those identified from a motion; None where there are none.
 
     Args:
         known: the model as it was.
@@ -38,7 +38,7 @@ def controllers_anew(known: Model, moved: Recording, robot: Robot) -> Form | Non
 
 
 def differing(known: Model, found: Model) -> str:
-    """What the controllers of a model do that those of another do not, in the field's words; empty for nothing.
+    """How a model's joint controllers differ from another's, in words; empty for no difference.
 
     Args:
         known, found: the models.

@@ -1,4 +1,4 @@
-"""The closing loop: find, add, play again, keep or take back, and the rule by which a change is kept."""
+"""The closing loop: find, add, run again, keep or reject, with the rule by which a change is kept."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ random closings (every ninth of seeds 1000 to 1099, nothing undeclared: 4.0 % an
 class Comparison:
     """Measured error of the same motion without and with a change, which is kept where it falls by a standard error.
 
-    Both plays follow the same motion, so they are compared piece by piece. What is compared is the logarithm of the
+    Both runs follow the same motion, so they are compared segment by segment. What is compared is the logarithm of the
     ratio of the errors of the whole motion,
 
         θ = log(E_after / E_before) ,
 
-    and its standard error holds two scatters that have nothing to do with each other:
+    and its standard error contains two independent parts:
 
     - along the motion: that of the jackknife over ``PIECES`` pieces of equal length, the ratio with one piece after the
       other left out (Efron & Tibshirani 1993, An Introduction to the Bootstrap, 11). It holds the noise of both plays,
@@ -61,7 +61,7 @@ class Comparison:
 
     @classmethod
     def of(cls, before: Array, after: Array) -> Comparison:
-        """Compares two plays.
+        """Compares the measured deviations of two runs.
 
         Args:
             before: deviations ``(N,)`` or ``(N, c)`` in order of time, as they are measured without the change [SI].
@@ -83,11 +83,11 @@ class Comparison:
 
     @property
     def rises(self) -> bool:
-        """Whether it rises by more than one."""
+        """Whether the error rises by more than one standard error."""
         return self.t > 1.0
 
     def reason(self, scale: float, unit: str) -> str:
-        """Why a change with this comparison is taken back; ``scale``: of the error's ``unit`` to SI."""
+        """Why a change with this comparison is rejected; ``scale`` converts the error's ``unit`` to SI."""
         size = f"{scale * self.before:.3g} to {scale * self.after:.3g} {unit}"
         if self.after >= self.before:
             return f"the measured error does not fall: {size}"
@@ -117,12 +117,12 @@ Place = tuple[str, int]
 
 @dataclass(frozen=True)
 class Form:
-    """One form of a change of the model.
+    """One form of a change of the model, to be tried.
 
     Attributes:
-        label: what it is.
-        change: makes the changed model of the present one and the play with that.
-        places: effects that it adds; none where it fits parameters anew and that is all.
+        label: name of the change.
+        change: makes the changed model from the present one and the run with it.
+        places: effects that it adds; none where it only fits parameters anew.
     """
 
     label: str
@@ -140,25 +140,25 @@ Forms = tuple[Form, ...]
 
 
 def places_of(effects: Sequence[FittedEffect]) -> tuple[Place, ...]:
-    """Name and joint of each."""
+    """Name and joint of each effect."""
     return tuple((effect.name, effect.joint) for effect in effects)
 
 
 def said(name: str, joint: int) -> str:
-    """An effect for people."""
+    """Name of an effect with its joint, for people."""
     return in_words(name) + (f" in joint {joint}" if joint else "")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Changes that are tried together and, where that does not stay, each by itself on top of those before it."""
+    """Changes that are tried together and, where that is rejected, one after the other."""
 
     together: Forms
     apart: tuple[Forms, ...] = ()
 
     @classmethod
     def adding(cls, effects: Sequence[FittedEffect]) -> Group:
-        """Effects on top of the model, together and each alone."""
+        """A group that adds effects to the model, together and each alone."""
         label = " and ".join(dict.fromkeys(in_words(effect.name) for effect in effects))
         together = (Form.adding(label, effects),) if len(effects) > 1 else ()
         return cls(together, tuple((Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in effects))
@@ -166,12 +166,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Step:
-    """One change of the model, tried or refused at once.
+    """One change of the model, with the result of its trial or the reason for none.
 
     Attributes:
-        tried: what was changed.
+        tried: the change.
         refused: why it does not stay; empty where it does.
-        error: what the cell measures with it [SI]; NaN where it was not played.
+        error: measured error with it [SI]; NaN without a run.
         places: effects that it would add.
         round: from 1.
     """
@@ -184,13 +184,13 @@ class Step:
 
     @property
     def taken(self) -> bool:
-        """Whether the change stays in the model."""
+        """Whether the change is kept in the model."""
         return not self.refused
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a motion shows: the diagnosis (None where what is missing was measured), and what follows from it."""
+    """The result of a motion: the diagnosis (None where the missing part was measured), and the changes to try."""
 
     diagnosis: Diagnosis | None
     recording: Recording
@@ -199,52 +199,52 @@ class Found:
 
 
 class Subject(ABC, Generic[R]):
-    """What is closed: the seam of the kinds of scenes."""
+    """Interface by which a kind of scene runs, diagnoses and measures for the closing loop."""
 
     unit, scale = "mm", 1e3
     """Of the measured error as it is told, and what it is times the SI unit."""
 
     @abstractmethod
     def play(self, model: Model) -> R:
-        """Plays the motion with a model; ``IdealRobotError`` where it cannot be played."""
+        """Runs the motion with a model; raises ``IdealRobotError`` where that is not possible."""
 
     @abstractmethod
     def find(self, model: Model, run: R, progress: Progress) -> Found:
-        """Diagnoses what the model misses, from the last play or a motion of its own.
+        """Diagnoses what the model lacks, from the last run or from a motion of its own.
 
         Args:
             model: the present one.
-            run: the play with it.
+            run: the run with it.
             progress: called with the fraction done.
         """
 
     @abstractmethod
     def readings(self, before: R, after: R, known: Model, model: Model) -> list[tuple[Array, Array]]:
-        """Measured deviations ``(N,)`` or ``(N, c)`` of two plays [SI], in every reading that is left open.
+        """Measured deviations ``(N,)`` or ``(N, c)`` of two runs [SI], in every interpretation that the data permit.
 
         Args:
-            before, after: the plays with the present model and with the changed one.
+            before, after: the runs with the present model and with the changed one.
             known, model: these models.
         """
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: R) -> tuple[list[int], str]:
-        """Which forms are played, the most promising one first; why none where there are none.
+        """Indices of the forms to run, the most promising first, and why there are none.
 
         Args:
             forms: of one change.
             models: changed by each.
             model: the present one.
-            run: the play with it.
+            run: the run with it.
         """
         return list(range(len(forms))), ""
 
     def asked(self, found: Found, model: Model, run: R, progress: Progress) -> Found | None:
-        """What another motion shows after a round without success; None where there is none.
+        """The result of a further motion after a round without success; None where there is none.
 
         Args:
             found: in this round.
             model: the present one.
-            run: the play with it.
+            run: the run with it.
             progress: called with the fraction done.
         """
         return None
@@ -252,9 +252,9 @@ class Subject(ABC, Generic[R]):
 
 @dataclass
 class Closed(Generic[R]):
-    """How far a closing has come: present model, the play with it, every trial, and what was found.
+    """Present state of a closing: the model, its run, every trial, and the last findings.
 
-    ``first`` is the error that decides, with the model as it was [SI].
+    ``first`` is the deciding error with the original model [SI].
     """
 
     subject: Subject[R]
@@ -265,7 +265,7 @@ class Closed(Generic[R]):
     found: list[Found] = field(default_factory=list)
 
     def try_all(self, found: Found) -> bool:
-        """Tries what was found; whether anything of it stays."""
+        """Tries all proposed changes; whether any of them is kept."""
         present = self.model
         self.found.append(found)
         self.steps += found.refused
@@ -289,7 +289,7 @@ class Closed(Generic[R]):
             readings = [Comparison.of(*pair) for pair in self.subject.readings(self.run, run, self.model, model)]
         except IdealRobotError as failed:
             return self._note(form, f"cannot be played: {failed}")
-        # Whatever is doubtful about what is not measured, the error has to fall.
+        # For every interpretation of what is not measured, the error has to fall.
         worst = max(readings, key=lambda reading: reading.t)
         if not worst.falls:
             return self._note(form, worst.reason(self.subject.scale, self.subject.unit), worst.after)
@@ -303,12 +303,12 @@ class Closed(Generic[R]):
 
 def close(subject: Subject[R], model: Model, run: R, *, rounds: int = ROUNDS, out: Path | None = None,
           progress: Progress = silent) -> Closed[R]:
-    """Rounds of finding and trying, until nothing more stays.
+    """Repeats finding and trying until no change is kept; returns the final state.
 
     Args:
-        subject: what is closed.
+        subject: the scene's runs and measurements.
         model: as it was.
-        run: the play with it.
+        run: the run with it.
         rounds: at most.
         out: folder that holds the model of each round that is done; nothing is written without.
         progress: called with the fraction done.
@@ -326,7 +326,7 @@ def close(subject: Subject[R], model: Model, run: R, *, rounds: int = ROUNDS, ou
             within.begin("trying", f"round {round_}: what was found is tried")
             stays = closed.try_all(finding)
             if not stays:
-                # Before it gives up: causes that this motion does not distinguish, another motion may.
+                # Before giving up, another motion may distinguish the causes that this one does not.
                 answer = subject.asked(finding, closed.model, closed.run, within.part("asking"))
                 stays = answer is not None and closed.try_all(answer)
             if stays and out is not None:

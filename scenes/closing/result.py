@@ -1,4 +1,4 @@
-"""What a closing yields, whatever is closed: errors before and after, every trial, what stays and why not."""
+"""The result of a closing: errors before and after, every trial, what is kept and why the rest is not."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ _ANSWERS = {"before": "before", "after": "after", "tracker": "with a tracker's a
 
 @dataclass(frozen=True)
 class Words:
-    """Words by which a kind of scene reports a closing.
+    """The words by which a kind of scene reports a closing.
 
     Attributes:
-        errors: under which the plays' errors stand in the JSON.
-        error: what the error of a play is, with its unit; ``judged``: what the one that decides is.
-        columns: titles of the table of plays.
-        as_it_was: what was played first.
-        caption, decides: what the table of plays shows, and the error that decides.
-        axes: titles of the figure's axes, and what it shows; none without a figure.
+        errors: key of the runs' errors in the JSON.
+        error: name of a run's error, with its unit; ``judged``: name of the deciding error.
+        columns: titles of the table of runs.
+        as_it_was: name of the first run.
+        caption, decides: caption of the table of runs, and description of the deciding error.
+        axes: titles of the figure's axes, and its caption; none without a figure.
     """
 
     errors: str
@@ -63,11 +63,11 @@ class Words:
 
 @dataclass(frozen=True)
 class Played:
-    """A play as it truly was, which the cell does not know.
+    """True errors of one run, which a real cell does not know.
 
     Attributes:
         errors: of the simulated world, as the kind of scene has them.
-        error: the one by which plays are compared, in the unit in which it is told.
+        error: error by which runs are compared, in the unit of the report.
         row: of the table, the model's name first.
         json: the errors.
         curve: error over the motion, ``(N,)`` and ``(N,)`` as they are drawn; none without a figure.
@@ -82,15 +82,15 @@ class Played:
 
 @dataclass(frozen=True, repr=False)
 class Closing(ShownTable):
-    """What came of a closing.
+    """The result of a closing.
 
     Attributes:
         undeclared: effects that the world holds and the model does not know.
-        plays: with the model as it was (``before``), as extended (``after``), and with what an oracle is told
+        plays: runs with the original model (``before``), with the extended one (``after``) and with the true one
             (``oracle``); others by the kind of scene.
-        closed: extended model, every trial, and what was found.
-        recordings: file name → recording that is kept, the first one what was diagnosed at first.
-        more: what the kind adds to the JSON.
+        closed: extended model, every trial, and the findings.
+        recordings: file name → recording to be written; the first one is that of the first diagnosis.
+        more: further entries of the JSON.
         section: adds a section of its own to the page.
     """
 
@@ -107,21 +107,21 @@ class Closing(ShownTable):
 
     @property
     def errors(self) -> dict[str, Any]:
-        """True errors of each play."""
+        """True errors of each run."""
         return {name: played.errors for name, played in self.plays.items()}
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """Every change that was tried, with the error that decides and the reason of a refusal."""
+        """Every change that was tried, with its deciding error and the reason of a rejection."""
         return tuple(self.closed.steps)
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """The first one; None where what is missing was measured."""
+        """The first diagnosis; None where the missing part was measured."""
         return self.closed.found[0].diagnosis
 
     def refusals(self) -> list[str]:
-        """One sentence for each effect that a diagnosis names and that does not stay."""
+        """One sentence for each diagnosed effect that is not kept."""
         stay = {place for step in self.steps if step.taken for place in step.places}
         why = {place: step.refused for step in self.steps if not step.taken for place in step.places}
         named = dict.fromkeys(place for finding in self.closed.found if finding.diagnosis
@@ -130,10 +130,10 @@ class Closing(ShownTable):
         return [f"{said(*place)} named, refused: {why.get(place, otherwise)}" for place in named if place not in stay]
 
     def answer(self) -> str:
-        """What was hidden, what stays in the model, and the error before and after, in a sentence or two."""
+        """What was hidden, what is kept in the model, and the error before and after, in a sentence or two."""
         hidden = " and ".join(said(*place) for place in self.undeclared)
         places = dict.fromkeys(place for step in self.steps if step.taken for place in step.places)
-        # What fits parameters anew adds no effect.
+        # A change that only fits parameters anew adds no effect.
         anew = dict.fromkeys(step.tried for step in self.steps if step.taken and not step.places)
         kept = [*(said(*place) for place in places), *anew]
         errors = ", ".join(f"{self.plays[name].error:.3g} {words}" for name, words in _ANSWERS.items()
@@ -156,11 +156,11 @@ class Closing(ShownTable):
         return values
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """The table of plays: titles, and one row a model."""
+        """The table of runs: titles, and one row per model."""
         return list(self.words.columns), [played.row for played in self.plays.values()]
 
     def ladder(self) -> tuple[tuple[str, ...], list[list[Any]]]:
-        """The table of trials: titles, and one row a change of the model."""
+        """The table of trials: titles, and one row per change of the model."""
         scale = self.closed.subject.scale
         return ("round", "change of the model", "stays", self.words.judged, "why not"), [
             [0, self.words.as_it_was, "yes", scale * self.closed.first, ""],
@@ -168,7 +168,7 @@ class Closing(ShownTable):
               for step in self.steps]]
 
     def page(self) -> Report:
-        """The page of the closing."""
+        """The HTML page of the closing."""
         page = Report(f"{self.scene.title or self.scene.name}: the loop closed", self.answer())
         page.heading("Before and after")
         page.table(*self.table(), self.words.caption)
@@ -198,16 +198,16 @@ class Closing(ShownTable):
         axes = figure.subplots()
         for name, played in self.plays.items():
             if played.curve is not None and name in _COLOURS:
-                # Dashed, so that what lies below it is seen.
+                # Dashed, so that the curve below it stays visible.
                 axes.plot(*played.curve, "--" if name == "oracle" else "-", color=_COLOURS[name], lw=1.1, label=name)
         axes.set(xlabel=abscissa, ylabel=ordinate)
-        # Above the picture it hides no curve.
+        # The legend stands above the picture, where it covers no curve.
         axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         axes.grid(alpha=0.3)
         return figure
 
     def written(self, folder: Path | None) -> Closing:
-        """The result with its files in a folder, which appears whole or not at all; without one the result as it is."""
+        """The result with its files written into a folder at once; without a folder the result alone."""
         if folder is None:
             return self
         page = self.page()
@@ -219,7 +219,7 @@ class Closing(ShownTable):
         return dataclasses.replace(self, model_path=folder / MODEL, report=folder / "report.html")
 
 
-# What closings of an arm share: what the arm measures, a motion at several speeds, and where the tool is by that.
+# Shared parts of closings of an arm: its measurements, a motion at several speeds, and the measured tool position.
 
 _STEPS = 80
 """Cycles of the way from the end of one speed to the start of the next."""
@@ -235,19 +235,20 @@ def at_speeds(motion: Array, slownesses: tuple[float, ...]) -> Array:
 
 def tool_deviation(recording: Recording, wanted: tuple[Array, Array, Array], robot: Robot, known: Model,
                    loads: tuple[FittedEffect, ...] = (), doubt: float = 0.0) -> Array:
-    """Deviation of the tool from where it was to be, aligned, as the arm itself measures it ``(N,)`` [m].
+    """Deviation of the tool from its desired place, aligned, as the arm itself measures it ``(N,)`` [m].
 
-    The tool's place where it is recorded, else that of the arm angles. Motor angles alone are brought behind the gears
-    by what was known of these before, so that a changed stiffness cannot confirm itself; what the gears carry, which
-    currents show, counts.
+    The tool's place where it is recorded, else that of the arm angles. Motor angles alone are converted to arm angles
+    with the stiffness known before, so that a changed stiffness cannot confirm itself; the gear torques from the
+    currents are used.
 
     Args:
-        recording: of what is measured.
-        wanted: instants ``(M,)`` [s] one cycle apart, joint angles at them ``(M, n)`` [rad], and which count ``(M,)``.
+        recording: the measured recording.
+        wanted: instants ``(M,)`` [s] one cycle apart, joint angles at them ``(M, n)`` [rad], and which are used
+            ``(M,)``.
         robot: kinematics as drawn.
         known: the model of before.
-        loads: that the model which is tried puts on the gears beyond the known one.
-        doubt: share by which what these bend is taken to be more.
+        loads: additional gear torques of the tried model.
+        doubt: relative increase of the deflection by these torques.
     """
     t, q_d, counts = wanted
     x = measured_places(recording, (t, q_d), robot, known, loads, doubt)
@@ -256,10 +257,10 @@ def tool_deviation(recording: Recording, wanted: tuple[Array, Array, Array], rob
 
 def measured_places(recording: Recording, wanted: tuple[Array, Array], robot: Robot, known: Model,
                     loads: tuple[FittedEffect, ...] = (), doubt: float = 0.0) -> Array:
-    """Where the tool was, as the arm itself measures it ``(N, 3)`` [m].
+    """Places of the tool as the arm itself measures them ``(N, 3)`` [m].
 
     Args:
-        recording: of what is measured.
+        recording: the measured recording.
         wanted: instants ``(M,)`` [s] one cycle apart, and joint angles at them ``(M, n)`` [rad].
         robot, known, loads, doubt: as of ``tool_deviation``.
     """
@@ -294,7 +295,7 @@ def visible(recording: Recording, measured: Measured) -> Recording:
 
 
 def checked_measured(value: str) -> Measured:
-    """What the arm measures, as given on the command line.
+    """Checks the command line's word for what the arm measures, and returns it.
 
     Raises:
         InputError: another word than motor, arm and tcp.

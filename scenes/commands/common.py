@@ -1,4 +1,4 @@
-"""What the verbs share: options, numbers, tables, the progress bar, and how a run is closed."""
+"""Shared parts of the verbs: options, numbers, tables, the progress bar, and how a run ends."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def progress_bar(title: str, rate: float = 10.0) -> Iterator[Told]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
 
-    # Where there is no room for all, the text is cut; never the numbers.
+    # Where the width does not suffice, text is cut, never a number.
     def fixed(width: int) -> Column:
         return Column(min_width=width, width=width, no_wrap=True)
 
@@ -62,7 +62,7 @@ def progress_bar(title: str, rate: float = 10.0) -> Iterator[Told]:
 
 
 N = TypeVar("N", int, float)
-_MOST_NUMBERS = 100_000  # seeds of a command; 1-10⁹ is a slip, not a day's work
+_MOST_NUMBERS = 100_000  # seeds of a command; 1-10⁹ is a typing error
 _NO_EDGE = 10_000
 """Columns of an output that is no terminal."""
 
@@ -90,7 +90,7 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     styles = [[COLOURS[cell.kind] if isinstance(cell, Verdict) else "" for cell in row] for row in rows]
     texts = [[name, *(row[i] for row in cells)] for i, name in enumerate(names)]
     least = [max(cell_len(word) for text in column for word in (*text.split(), "")) for column in texts]
-    # Text, not str: rich would take a name such as [/red] for its own markup.
+    # Text, not str, as rich would read a name such as [/red] as markup.
     if sum(least) + len(least) > console.width:
         _show_blocks(console, title, names, cells, styles)
         return
@@ -217,7 +217,7 @@ def recording_of(path: Path, columns: Path | None, topic: str | None, joints: st
 
 def reading_options(columns: Path | None, topic: str | None, joints: str | None, drive_data: Path | None = None
                     ) -> tuple[str, ...]:
-    """The words of the options by which a recording is read, for the command that comes next.
+    """The words of the options by which a recording is read, for the command proposed next.
 
     Args:
         columns, topic, joints, drive_data: as typed; None where they were not given.
@@ -227,7 +227,7 @@ def reading_options(columns: Path | None, topic: str | None, joints: str | None,
 
 
 def scenes_there(given: Any) -> Any:
-    """A scene or scenes as given, or InputError for none or two of that name: before what plays them is loaded."""
+    """Returns scenes unchanged, or raises InputError for none or two of that name, before slow imports."""
     from scenes.scene_file import find_scene
 
     for scene in given if isinstance(given, (list, tuple)) else [given]:
@@ -236,7 +236,7 @@ def scenes_there(given: Any) -> Any:
 
 
 def arm_there(given: Any) -> Any:
-    """A robot as given, or InputError where it is neither a shipped robot nor a file; None stays what it is."""
+    """Returns a robot's name or file unchanged; raises InputError where it is neither. None is returned as it is."""
     from ideal_robot.robots import urdf_of
 
     if given is not None:
@@ -278,7 +278,7 @@ TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one
 
 
 def methods_of(verb: str) -> tuple[str, ...]:
-    """Methods of ``rsi`` (nothing is rehearsed) or ``precorrect`` (no plays either), other packages' included."""
+    """Methods of ``rsi`` (no runs beforehand) or ``precorrect`` (no runs at all), other packages' included."""
     from ideal_robot.feedforward.method import Needs
     from ideal_robot.feedforward.registry import methods, settings
 
@@ -290,5 +290,5 @@ def methods_of(verb: str) -> tuple[str, ...]:
 
 
 def completed(verb: str, incomplete: str) -> list[str]:
-    """Methods of a verb that begin with what was typed."""
+    """Methods of a verb that begin with the typed letters, for completion."""
     return [key for key in methods_of(verb) if key.startswith(incomplete)]

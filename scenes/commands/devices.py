@@ -81,7 +81,7 @@ class FollowOptions:
     out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None
 
     def devices(self) -> Devices:
-        """What the addresses and delays say of the devices."""
+        """The addresses and delays of the devices."""
         from scenes.online.devices import Devices
 
         same = ("arm", "camera", "force", "relative", "rsi_config", "controller", "cycle", "delay", "bridge", "core",
@@ -105,7 +105,7 @@ def follow(options: FollowOptions) -> None:
     loaded = chosen(load_cell(options.scene), speed=options.speed)
     folder = options.out or Path("out") / "follow" / loaded.name
     check_outputs({"--out": folder}, json=options.json, calibration=options.calibration)
-    # Drawing takes Python's lock away from the answers now and then.
+    # Drawing the bar takes Python's lock and delays answers, so it is drawn rarely.
     with progress_bar(loaded.name, rate=2.0) as progress:
         result = follow(loaded, options.devices(), method=options.method, calibration=options.calibration, out=folder,
                         progress=progress)
@@ -153,7 +153,7 @@ class PlayOptions:
     json: JsonFigures = None
 
     def settings(self) -> PlaySettings:
-        """How the path is played."""
+        """The settings of a path's execution."""
         from scenes.played_path import PlaySettings
 
         same = ("arm", "robot", "method", "model", "cycle", "rest", "relative", "rsi_config", "controller", "bridge",
@@ -239,7 +239,7 @@ class SimulateOptions:
                     ] = None
 
     def places(self) -> Places:
-        """Where the devices listen; InputError for an arm behind an interface that is not served."""
+        """Addresses where the devices listen; InputError for an arm behind an interface that is not served."""
         from ideal_robot.interfaces import interface_of
         from scenes.serve.cell import CONTROLLERS, Places
 
@@ -255,7 +255,7 @@ class SimulateOptions:
                       place.host + place.path)
 
     def camera_places(self, arm: str) -> CameraPlaces:
-        """Where the arm is read and where its pictures go; InputError for a topic that cannot be published."""
+        """Address of the arm and targets of its pictures; InputError for a topic that cannot be published."""
         from ideal_robot.interfaces import INTERFACES
         from scenes.serve.elsewhere import CameraPlaces
 
@@ -270,7 +270,7 @@ class SimulateOptions:
         return CameraPlaces(arm, self.wait, (self.host, self.camera_port), self.topic)
 
     def unkindness(self) -> Unkindness:
-        """What becomes of the devices' packets."""
+        """The simulated faults of the devices' packets."""
         from sim.devices.stream_server import Unkindness
 
         return Unkindness(drift=1e-6 * self.drift, offset=1e-3 * self.offset, loss=self.loss, doubled=self.doubled,
@@ -440,7 +440,7 @@ class RsiOptions:
     json: JsonFigures = None
 
     def form(self) -> RsiFormat:
-        """How the controller calls the parts of its messages; InputError where its configuration cannot be used."""
+        """Names of the parts of the controller's messages; InputError where its configuration cannot be used."""
         from ideal_robot.robots.robot import Robot
         from ideal_robot.rsi.message import RsiFormat
 
@@ -488,7 +488,7 @@ def rsi(options: RsiOptions) -> None:
         with (stopping_on_signals(server.stop, lambda: server.link.counts.cycles > 0),
               progress_bar("rsi") as progress):
             run = server.play(patience=options.wait, core=options.core, progress=progress)
-    # Shown first: the arm has moved, and what no disk takes is read at least.
+    # The table is shown first, so that the result is seen even if the disk takes no file.
     show_table("", *run.table())
     with whole_files(options.record, options.json) as (record_file, json_file):
         run.recording.write(record_file)

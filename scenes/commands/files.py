@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 class What(StrEnum):
-    """What can be listed."""
+    """What the verb ``list`` can list."""
 
     SCENES = "scenes"
     ROBOTS = "robots"
@@ -208,7 +208,7 @@ def _export_recording(loaded: Recording, requested: dict[str, Path]) -> None:
     for text in (*loaded.meta.get("reading", ()), *text_columns(loaded)):
         typer.echo(f"warning: {text}", err=True)
     with progress_bar("export") as progress:
-        # The one that needs an extra comes first: where that is missing nothing has been written.
+        # The format that needs an extra comes first, so that nothing is written where the extra is missing.
         for i, (option, path) in enumerate(requested.items()):
             progress(i / len(requested), option[2:])
             typer.echo(f"written: {writers[option](loaded, path)}")
@@ -354,7 +354,7 @@ def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | No
     return arm, None, {} if kind.curves is None else kind.curves(scene)
 
 
-# A simulated arm of recordings.
+# Makes a simulated arm from recordings.
 
 def twin(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings of free motion (Parquet, CSV, ROS 2 bag or "

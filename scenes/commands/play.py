@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class PlayedScene:
-    """A scene, and what the command line says in place of its own values."""
+    """Options that name a scene and replace values of its file."""
 
     scene: SceneName
     speed: Speed = None
@@ -51,7 +51,7 @@ class PlayedScene:
                                                           "up.")] = None
 
     def load(self) -> Scene:
-        """The scene with these values."""
+        """Loads the scene with these values."""
         from scenes.scene_files.scene import chosen
 
         return chosen(load_scene(self.scene), speed=self.speed, seed=self.seed, individual=self.individual,
@@ -70,7 +70,7 @@ class RunOptions(PlayedScene):
     out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None
 
     def allowed(self, scene: Scene) -> float | None:
-        """Error within which 95 % of the way lie [m], if given; InputError for no length, no line, or a speed too."""
+        """Tolerance for 95 % of the path [m], if given; InputError for no length, no line, or a speed beside it."""
         from scenes.scene_files.line_scene import LineScene
 
         if self.tolerance is None:
@@ -209,7 +209,7 @@ def sweep(options: SweepOptions) -> None:
         answers = sweep(work, processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
                         done=lambda count, _: progress(count / len(work), f"{count} of {len(work)}"))
     table = _show_swept(answers, with_arm=bool(options.individuals))
-    # Shown first: what no disk takes is read at least.
+    # The table is shown first, so that the result is seen even if the disk takes no file.
     with whole_files(options.json, options.csv) as (json_file, csv_file):
         write_signed(json_file, {"runs": answers})
         if csv_file is not None:

@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: errors without each cause, each cause through the residual it explains, residuals."""
+"""Figures of a diagnosis: errors without each cause, each cause with the residual it explains, residuals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Contribution = tuple[tuple[str, ...], Traces, int, Array]
 
 
 def without_each_figure(diagnosis: Diagnosis) -> Figure:
-    """The error on held-out data before, with all causes but one, and with all; one panel a channel, with the noise."""
+    """Figure of held-out errors: before, with all causes but one, with all; one panel per channel, with the noise."""
     effects = _in_order(diagnosis)
     channels = list(dict.fromkeys(channel_of(diagnosis, e) for e in effects))[:6]
     rows = {name: [e for e in effects if channel_of(diagnosis, e) == name] for name in channels}
@@ -55,26 +55,26 @@ def without_each_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def channel_of(diagnosis: Diagnosis, effect: FoundEffect) -> str:
-    """The measured channel that an effect is in: ``tau_6`` of what is fitted as ``tau_bell_6``."""
+    """The measured channel that an effect is in, such as ``tau_6`` for an effect fitted in ``tau_bell_6``."""
     name = effect.fitted.channel
     measured = f"{name.partition('_')[0]}_{name.rpartition('_')[2]}"
     return measured if any(c.channel == measured for c in diagnosis.channels) else name
 
 
 def unit_of(diagnosis: Diagnosis, name: str) -> str:
-    """Unit of a channel, or of the channels that begin with ``name`` where all joints' are meant; empty if none is."""
+    """Unit of a channel, or of all channels whose names begin with ``name``; empty if there is none."""
     # The tool's channels are called x, y and z.
     names = ("x",) if name.partition("_")[0] == TCP_POSITION.prefix else (name,)
     return next((c.unit for c in diagnosis.channels if c.channel in names or c.channel.rpartition("_")[0] in names), "")
 
 
 def shown_in(unit: str) -> tuple[float, str]:
-    """Factor and unit in which a person reads values: positions in thousandths."""
+    """Factor and unit for showing values to people: positions in thousandths."""
     return {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(unit, (1.0, unit))
 
 
 def arguments_figure(arguments: Sequence[Argument]) -> Figure:
-    """How much worse each set of causes is with something else, or nothing, in the place of a named one."""
+    """Figure of how much worse each set of causes is when a named one is replaced or left out."""
     rows = [[*claim.rivals[:_RIVALS], *(other for other in claim.sets if not other.name)] for claim in arguments]
     figure = Figure(figsize=(6.2, 0.6 + sum(0.75 + 0.26 * len(row) for row in rows)), layout="constrained")
     panels = figure.subplots(len(rows), 1, squeeze=False, sharex=True, height_ratios=[2 + len(row) for row in rows])
@@ -98,11 +98,11 @@ def _in_order(diagnosis: Diagnosis) -> list[FoundEffect]:
 
 
 def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]]:
-    """What each effect adds to its channel, where the diagnosis kept it."""
+    """The effects that the diagnosis kept, each with its contribution to its channel."""
     shown = []
     for names, traces in diagnosis.traces:
         domain = TCP_POSITION.prefix if names[0] == "x" else prefix_of(names[0])
-        # An effect may be reported under another name than the channel it acts in.
+        # An effect may be reported under another name than that of its channel.
         here = [e for e in _in_order(diagnosis) if e.fitted.channel in names or e.fitted.domain.prefix == domain]
         for e, added in zip(here, traces.added, strict=True) if len(here) == len(traces.added) else ():
             j = int(np.argmax(np.sum(added**2, axis=0)))
@@ -111,12 +111,12 @@ def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]
 
 
 def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) -> tuple[Figure, str]:
-    """What remains without one effect, over the signal the effect depends on most, with the effect drawn through it.
+    """Figure of the residual without one effect, over its main signal, with the effect drawn through it.
 
     An effect that is no curve over one signal is drawn over what it predicts itself.
 
     Args:
-        effect, contribution: which, and what it adds.
+        effect, contribution: the effect, and its contribution.
         unit: of its channel, as text.
 
     Returns:
@@ -135,7 +135,7 @@ def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) ->
     word = in_words(effect.fitted.name)
     curve = shares[label] >= _CURVE
     x = signals[label] if curve else added
-    # What the model would leave if only this effect were taken out again.
+    # The model's residual without this effect alone.
     without = traces.residual_after[:, j] + added
     figure = Figure(figsize=(4.6, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -172,7 +172,7 @@ def _explained(x: Array, y: Array) -> float:
 
 
 def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
-    """The measurement of a channel, and below it what the model leaves of it before and after.
+    """Figure of a channel's measurement over time, with the model's residual before and after below it.
 
     Args:
         traces, j: series of a domain, and the channel, from 0.
@@ -196,7 +196,7 @@ def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
 
 
 def over_signals(traces: Traces, j: int, name: str, unit: str) -> Figure:
-    """The residual of a channel over position and velocity of the joint and over time.
+    """Figure of a channel's residual over position and velocity of the joint and over time.
 
     Args:
         traces, j: series of a domain, and the channel, from 0.

@@ -45,9 +45,9 @@ def diagnosis_page(diagnosis: Diagnosis, title: str, call: Call = UNKNOWN) -> Re
     """The report of a diagnosis.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         title: of the page.
-        call: what was given, for the commands of what to do next.
+        call: the command that was run, for the commands of the next steps.
     """
     page = Report(title, summary(diagnosis))
     add_diagnosis(page, diagnosis, next_steps(diagnosis, call))
@@ -55,11 +55,11 @@ def diagnosis_page(diagnosis: Diagnosis, title: str, call: Call = UNKNOWN) -> Re
 
 
 def next_steps(diagnosis: Diagnosis, call: Call) -> list[tuple[str, str]]:
-    """What to do after a diagnosis: for each step a sentence and its command.
+    """The next steps after a diagnosis, each a sentence and its command.
 
     Args:
-        diagnosis: what was found.
-        call: what was given.
+        diagnosis: the diagnosis.
+        call: the command that was run.
     """
     steps = []
     if any(e.indistinguishable_from for e in (*diagnosis.effects, *diagnosis.unknown)):
@@ -81,16 +81,16 @@ def next_steps(diagnosis: Diagnosis, call: Call) -> list[tuple[str, str]]:
 
 
 def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, str]] = ()) -> None:
-    """The sections of a diagnosis on a page: the answer in a picture, what to do next, and the reasons folded away.
+    """Adds the sections of a diagnosis to a page: answer with picture, next steps, and the reasons folded.
 
     Args:
         page: to which they are added.
-        diagnosis: what was found.
-        then: what to do next, each a sentence and its command; nothing where the page says it already.
+        diagnosis: the diagnosis.
+        then: the next steps, each a sentence and its command; empty where the page has them already.
     """
     poor = [f"Joint {joint} {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
     moved = f"Parameters that changed: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
-    # Of a joint that moves too little one sentence is enough.
+    # For a joint that moves too little one sentence is enough.
     said = [warning for warning in diagnosis.warnings
             if not any(warning.startswith(f"joint-never-moves: joint {joint} ") for joint in diagnosis.undecided)]
     for warning in filter(None, (*poor, *said, unexplained(diagnosis), moved)):
@@ -141,7 +141,7 @@ def summary(diagnosis: Diagnosis) -> str:
                  "it does not fall: that it is missing is not claimed.")
     shown = _own(diagnosis)
     if shown and diagnosis.verdict in ("effects", "unknown"):
-        # Of many channels the one that falls most; the table has all.
+        # With many channels only the one that falls most is named; the table has all.
         most = min(shown, key=lambda c: c.rms_after / max(c.rms_before, 1e-300))
         lower = sum(c.rms_after < c.rms_before for c in shown)
         words = (f"the error of {_listed([_change(c) for c in shown])}" if len(shown) <= _SAID else
@@ -159,7 +159,7 @@ def _change(c: ChannelResult) -> str:
 def _own(diagnosis: Diagnosis) -> list[ChannelResult]:
     """The channels in which something was found; those where the error falls if it has none."""
     channels = {e.fitted.channel for e in (*diagnosis.effects, *diagnosis.unknown) if _lowers(e)}
-    # What is found in the whole arm has the name that all its channels begin with.
+    # An effect of the whole arm has the name that all its channels begin with.
     own = [c for c in diagnosis.channels if {c.channel, c.channel.rpartition("_")[0]} & channels]
     return own or [c for c in diagnosis.channels if c.rms_after < 0.98 * c.rms_before]
 
@@ -170,7 +170,7 @@ def _above_noise(diagnosis: Diagnosis) -> str:
     entries = [(c, *_told(c.unit, c.rms_after)) for c in channels]
     if not entries:
         return ""
-    # Of many channels the loudest; the table of errors has all.
+    # With many channels only the one farthest above its noise is named; the table of errors has all.
     loudest = max(entries, key=lambda entry: entry[0].times_noise)
     named = _listed([f"{c.channel} ({value:.3g} {unit}, {c.times_noise:.2g} times)"
                      for c, value, unit in (entries if len(entries) <= _SAID else [loudest])])
@@ -180,7 +180,7 @@ def _above_noise(diagnosis: Diagnosis) -> str:
 
 
 def unexplained(diagnosis: Diagnosis) -> str:
-    """What remains far above the noise and has no name, in a sentence; empty if there is nothing."""
+    """The residual far above the noise that no effect explains, in a sentence; empty if there is none."""
     if diagnosis.verdict == "undecided" or not diagnosis.unexplained:
         return ""
     loud = _listed([f"{c.channel} ({_times(c)})" for c in diagnosis.unexplained])
@@ -189,7 +189,7 @@ def unexplained(diagnosis: Diagnosis) -> str:
 
 
 def unused(diagnosis: Diagnosis) -> str:
-    """What of the recording took no part, and why."""
+    """The parts of the recording that were not used, and why, in words."""
     return "; ".join(f"{names} ({reason})" for names, reason in diagnosis.unused.items())
 
 
@@ -273,7 +273,7 @@ def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: 
         touched = [j for j, c in enumerate(names) if any(d.channel == c for d in diagnosis.channels)][:1]
     page.heading(f"Measured, and the residual: {' to '.join(dict.fromkeys((names[0], names[-1])))}", folded=True)
     for place, j in enumerate(touched[:7]):
-        # The first one is shown as an example of how to read them, the others are folded away.
+        # The first one is shown as an example, the others are folded.
         folded = (f"{names[j]} over time", f"{names[j]} over position, velocity and time") if place else ("", "")
         page.figure(over_time(traces, j, names[j], unit_of(diagnosis, names[j])),
                     f"{names[j]}: the measurement (grey) and what the model leaves of it before (red) and after "

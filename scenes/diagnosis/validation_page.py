@@ -1,4 +1,4 @@
-"""The page of a validation: how far a model's torques are from the measured ones, and what it misses."""
+"""The page of a validation: a model's torques against the measured ones, and the effects it lacks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLUMNS = ["joint", "residual % of the torque", "of its scatter %", "standard de
 
 def validation_page(model: str, recording: str | Path, prediction: Prediction, units: Sequence[str],
                     diagnosis: Diagnosis) -> Report:
-    """The page: the residual of each joint, where it is largest, what to do next, and the diagnosis folded away.
+    """The page of a validation: residual of each joint, where it is largest, next steps, and the diagnosis folded.
 
     Args:
         model: its file's name.
@@ -49,7 +49,7 @@ def validation_page(model: str, recording: str | Path, prediction: Prediction, u
 
 
 def rows(prediction: Prediction, units: Sequence[str]) -> list[list[Any]]:
-    """The table's rows, one a joint."""
+    """The table's rows, one per joint."""
     left = np.std(prediction.measured - prediction.tau, axis=0)
     return [[j + 1, float(error), float(share), float(left[j]), units[j],
              Verdict(USABLE if share <= GOOD else WEAK if share < POOR else UNUSABLE)]

@@ -1,1 +1,1 @@
-"""Scenes that press: force on a surface, contours, camera and force together."""
+"""Scenes with contact: force on a surface, contours, camera and force together."""

@@ -1,4 +1,4 @@
-"""What a force scene needs before anything moves: arm, surface, reference, and the calibrations by moving."""
+"""Sets up a force scene before the run: arm, surface, reference, and the calibrations by moving."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def true_tip(table: TipTable) -> Tip:
 
 @dataclass(kw_only=True)
 class Cell:
-    """Everything of one run that is set up before anything moves.
+    """All objects of one run, as set up before the motion.
 
     The follower is given ``known`` alone; the rest is the world.
     """
@@ -86,8 +86,8 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
     """Builds world, surface and follower of a force scene.
 
     Args:
-        scene: what is played.
-        seen: camera and looks of the line as moving over it has shown them; as the scene tells them if None.
+        scene: the scene.
+        seen: camera and line appearance from the calibration by moving; those of the scene if None.
 
     Raises:
         InputError: path out of reach, unreachable speed, a value that makes no sense.
@@ -138,7 +138,7 @@ def calibrate_tool(cell: Cell) -> ToolLoad:
 
 
 def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
-    """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back ([L] 4.4)."""
+    """The elasticity E: the tip is pressed slowly into the surface at the path's start and retracted ([L] 4.4)."""
     follower = cell.known.follower(elasticity=1e6)
     pressed = Pressed(cell.known, tool, follower.q_start)
     T, speed = cell.world.t_ipo, -0.03
@@ -158,12 +158,12 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
 
 
 class Prepared:
-    """What plays of a scene share, whatever their method: tool, contact, camera and friction as moving shows them.
+    """Calibration results that all runs of a scene share: tool, contact, camera and friction.
 
-    Each is found when it is first asked for. What happens to the sensor later it does not know yet.
+    Each is computed when it is first used. Later disturbances of the sensor are not part of it.
 
     Args:
-        scene: what is played.
+        scene: the scene.
     """
 
     def __init__(self, scene: ForceScene) -> None:
@@ -171,32 +171,32 @@ class Prepared:
 
     @cached_property
     def contact(self) -> tuple[ToolLoad, ContactElasticity]:
-        """See ``calibrated``."""
+        """Tool and contact from the calibration, see ``calibrated``."""
         return calibrated(self._scene)
 
     @cached_property
     def camera(self) -> tuple[HandEye, DetectionSettings] | None:
-        """See ``camera_shown``."""
+        """Camera and line appearance from the calibration, see ``camera_shown``."""
         return camera_shown(self._scene)
 
     @cached_property
     def friction(self) -> FrictionAtWork | None:
-        """See ``friction_shown``."""
+        """Friction from the dry run, see ``friction_shown``."""
         return friction_shown(self._scene)
 
 
 def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
-    """Tool and contact as calibration by moving finds them in this scene."""
+    """Tool and contact from calibrations by moving in this scene."""
     cell = set_up(scene)
     tool = calibrate_tool(cell)
     return tool, calibrate_elasticity(cell, tool)
 
 
 def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
-    """Friction as a dry run above the path shows it.
+    """Friction as estimated from a dry run above the path.
 
     None where the path is not known beforehand or cannot be reached above the surface, and where a camera looks at a
-    line as well: there the dry run made the force no better.
+    line as well: there the dry run did not improve the force.
     """
     if scene.task != "surface":
         return None
@@ -213,9 +213,9 @@ def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
 
 
 def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
-    """Camera and looks of the line as moving over it shows them.
+    """Camera calibration and line appearance from moving over the line.
 
-    None where there is no camera, or it is believed as mounted.
+    None where there is no camera, or its nominal mounting is used.
 
     Raises:
         SceneError: the arm reaches too few of the poses, or too few of them show the line.
@@ -235,7 +235,7 @@ def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
 
 
 def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:
-    """The line that is drawn on the curved surface, and the camera as it truly is."""
+    """The line that is drawn on the curved surface, and the true camera."""
     scene, where = cell.known.scene, cell.geometry
     line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                      background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
@@ -243,7 +243,7 @@ def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:
 
 
 class GlueWorld:
-    """Renders the line on the curved surface of a scene, and measures against it."""
+    """Renders the line on the curved surface of a scene, and measures true errors against it."""
 
     def __init__(self, cell: Cell) -> None:
         self.line, true = glue_line(cell)

@@ -1,9 +1,9 @@
-"""The closing with a force sensor and a contact that are wrong: press and move, diagnose that run, press again.
+"""Closing with a wrong force sensor and contact: press and move, diagnose that run, press again.
 
-What the diagnosis finds of bias and compliance goes into the model file, from where the force controller takes what it
-assumes. What decides is how much of the run the sensor and the contact that are believed leave unexplained: a force
-error of its own would say nothing, as the cell's reading holds the error. The oracle is told what is wrong; the true
-one knows the numbers.
+The diagnosed bias and compliance go into the model file, from which the force controller takes its assumptions. A
+change is accepted by the residual of the run under the assumed sensor and contact: the measured force error would not
+show a sensor error, as it contains it. The run ``oracle`` knows which effects are wrong; ``true`` also knows their
+values.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WORDS = Words(
 
 def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """See ``CloseLoop.__call__``: presses and moves, and finds what is wrong with sensor and contact."""
+    """Runs a force scene and diagnoses its sensor and contact; see ``CloseLoop.__call__``."""
     undeclared, job, robot = undeclared_effects(scene), Steps(progress, SHARES), arm_of(scene.robot)
     known = model_for(scene, robot)
     with tempfile.TemporaryDirectory() as folder:

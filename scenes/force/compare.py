@@ -21,7 +21,7 @@ DIFFERENTIAL = (0.25, 0.5, 1.0)
 
 def best_gains(scene: ForceScene, shared: Prepared, *, progress: Progress = silent
                ) -> tuple[tuple[float, float], tuple[GainTrial, ...]]:
-    """K_p [m/N per cycle] and K_d [m/N] with the smallest RMS force error [N] in this scene, and all that was tried.
+    """K_p [m/N per cycle] and K_d [m/N] with the smallest RMS force error [N] in this scene, and all trials.
 
     Args:
         scene: in which they are searched.
@@ -51,7 +51,7 @@ TROUBLES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, repr=False)
 class ForceComparison(ShownTable):
-    """A scene with every method."""
+    """The results of all methods on one scene."""
 
     scene: ForceScene
     runs: dict[str, ForceResult]
@@ -68,7 +68,7 @@ class ForceComparison(ShownTable):
                 "camera_troubles": {name: run.json() for name, run in self.troubles}, "report": self.report}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a method."""
+        """The methods as a table: titles, and one row per method."""
         columns = ["method", "RMS force error [N]", "largest [N]", "least [N]", "contact lost [ms]", "stopped because"]
         rows: list[list[Any]] = [
             [run.method, run.figures.rms, run.figures.largest, run.figures.least, 1e3 * run.figures.lost,
@@ -82,12 +82,12 @@ class ForceComparison(ShownTable):
 
 def compare_forces(scene: ForceScene, methods: Sequence[SceneMethod], *, progress: Progress = silent
                    ) -> ForceComparison:
-    """Plays the scene with each method, direct feedback at its best gains.
+    """Runs the scene with each method, direct feedback at its best gains.
 
     They are searched again even where the scene file has gains: the table has to be fair in this scene, speed and seed.
 
     Args:
-        scene: what to play.
+        scene: the scene.
         methods: in the order of the table.
         progress: called with the fraction done.
     """

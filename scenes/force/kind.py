@@ -1,4 +1,4 @@
-"""What scenes of kind ``force`` offer: play with one method, compare several, curves for the viewer, close the loop."""
+"""The functions of scenes of kind ``force``: run, compare methods, curves for the viewer, close the loop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHARES = {"calibrating by moving": 0.15, "playing": 0.55, "report": 0.3}
 
 def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
         gains: tuple[float, float] | None = None) -> ForceResult:
-    """See ``Play.__call__``: presses and moves once.
+    """Runs a force scene once, see ``Play.__call__``.
 
     ``gains`` are K_p [m/N per cycle], K_d [m/N] of direct feedback; the scene's, or found by search, if None.
     """
@@ -35,7 +35,7 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
         progress = part_of(progress, 0.8, 0.2)
     steps = Steps(progress, SHARES)
     steps.begin("calibrating by moving")
-    # The first thing that playing says is that it has calibrated.
+    # The first progress of a run comes after its calibration.
     result = play(scene, chosen, gains, steps.part("playing"), shared)
     steps.begin("report")
     return result if out is None else write_run_files(result, run_page, out, force_replay(result))
@@ -43,7 +43,7 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
 
 def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> ForceComparison:
-    """See ``Compare.__call__``: presses and moves, direct feedback at its best gains."""
+    """Runs a force scene with several methods, direct feedback at its best gains; see ``Compare.__call__``."""
     comparison = compare_forces(scene, compared(methods, force_methods(scene.task), PLAIN), progress=progress)
     return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 

@@ -32,7 +32,7 @@ def force_replay(result: ForceResult) -> Replay | None:
     if travel:
         counts = (t >= travel[0]) & (t <= travel[-1])
         error[counts] = np.abs(force - result.scene.force)[counts]
-    # There is no place where the tool had to be: the force decides, so nothing is drawn enlarged.
+    # The force determines the tool's place, so there is no position error to be enlarged.
     curves = scene_curves(result.scene) | box_edges(result.scene.box)
     return Replay(robot, t, q, tool, tool, error, "difference from the wanted force", "N", curves=curves, enlarged=1.0,
                   force=sensed_force(robot, recording, rows))
@@ -109,7 +109,7 @@ def comparison_page(comparison: ForceComparison) -> Report:
 
 
 def forces_figure(comparison: ForceComparison) -> Figure:
-    """The true normal force of each method, one below the other: laid over each other the best could not be seen."""
+    """Figure of the true normal force of each method, one panel each, so that the best one stays visible."""
     runs, wanted = comparison.runs, comparison.scene.force
     figure = Figure(figsize=(4.8, 0.5 + 1.35 * len(runs)), layout="constrained")
     axes = figure.subplots(len(runs), sharex=True, sharey=True, squeeze=False).ravel()
@@ -150,7 +150,7 @@ def _run_figure(result: ForceResult) -> Figure:
         top.axvspan(travel[0], travel[-1], color="#1f5fa8", alpha=0.07)
     top.set_ylim(0, min(3.2 * result.scene.force, 1.15 * max(result.figures.largest, 1.0)))
     top.set_ylabel("normal force [N]")
-    # Above the picture they hide no curve.
+    # The legend stands above the picture, where it covers no curve.
     top.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     every = step(len(history["t"]))
     seconds = history["t"][::every]

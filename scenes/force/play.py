@@ -1,6 +1,6 @@
-"""Plays a scene of kind ``force``: the tip presses on an unknown surface and moves along it ([L] section 4).
+"""Runs a scene of kind ``force``: the tip presses on an unknown surface and moves along it ([L] section 4).
 
-Its result holds forces, what was felt of the surface, the recording and the timing.
+Its result has forces, the estimated surface, the recording and the timing.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ AT_A_TIME = 1_000_000
 
 @dataclass(frozen=True)
 class ForceFigures:
-    """How well the force was kept, from the beginning of the travel to its end, start and end included.
+    """Errors of the force over the whole travel, start and end included.
 
     Attributes:
         rms, mean: of the true normal force's error, and its mean [N].
@@ -64,7 +64,7 @@ class ForceFigures:
 
 @dataclass(frozen=True, repr=False)
 class ForceResult(ShownRun):
-    """One force scene played with one method."""
+    """The result of one force scene with one method."""
 
     scene: ForceScene
     method: str
@@ -111,18 +111,18 @@ class ForceResult(ShownRun):
         }
 
     def plot(self) -> Figure:
-        """The true force along the surface's normal over time, and the wanted one."""
+        """Figure of the true force along the surface's normal over time, and the desired one."""
         t, normal = self.history["t"], self.history["normal"]
         wanted = np.full(len(t), self.scene.force)
         return over_time(t, [("force [N]", [("true", normal), ("wanted", wanted)])], self.scene.title)
 
     def next_steps(self) -> list[tuple[str, str]]:
-        """See ``ShownRun.next_steps``."""
+        """The next steps, each a sentence and its command line; see ``ShownRun.next_steps``."""
         return [("See it beside direct force feedback at its best gain.",
                  f"ideal-robot compare {as_typed(self.scene)}")]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The few figures a person wants first."""
+        """The main figures as rows of label and value."""
         f = self.figures
         rows = [("method", self.method), ("speed", f"{self.scene.speed:g} m/s"),
                 ("RMS force error", f"{f.rms:.2f} N of {self.scene.force:g} N"),
@@ -136,7 +136,7 @@ class ForceResult(ShownRun):
 
 
 def force_figures(scene: ForceScene, history: dict[str, Array], moving: list[float]) -> ForceFigures:
-    """How well the force was kept.
+    """Errors of the force over the whole travel.
 
     Args:
         scene: how hard was to be pressed.
@@ -174,17 +174,17 @@ def methods(task: str = "surface") -> tuple[str, ...]:
 
 def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = None,
          progress: Progress = silent, shared: Prepared | None = None) -> ForceResult:
-    """One run without files.
+    """Runs a force scene once without writing files.
 
     Args:
-        scene: what to play.
+        scene: the scene.
         method: a key, a ``Feedforward``, a factory of one, or a ``Method``.
         gains: K_p [m/N per cycle], K_d [m/N] of direct feedback.
         progress: called with the fraction done.
-        shared: of the same scene but for what a method, a limit or trouble of the camera changes, to save its time.
+        shared: calibrations of the same scene, to save time; the method, a limit or camera faults may differ.
 
     Raises:
-        InputError: no such method, or a scene that cannot be played.
+        InputError: no such method, or a scene that cannot be run.
     """
     method = method_of(method, methods(scene.task))
     shared = shared or Prepared(scene)
@@ -202,14 +202,14 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
 
 def pressed(cell: Cell, configured: Configured, method: str, progress: Progress = silent,
             trouble: Trouble | None = None) -> ForceResult:
-    """What comes of a task on the simulated arm.
+    """Runs a task on the simulated arm and returns its result.
 
     Args:
         cell: the scene set up.
-        configured: what is done, its devices not yet connected.
+        configured: the task, its devices not yet connected.
         method: its key.
         progress: called with the fraction done.
-        trouble: what happens to the camera on the way.
+        trouble: faults of the camera during the run.
     """
     scene, task = cell.known.scene, configured.task
     glue = GlueWorld(cell) if scene.task == "glue" else None

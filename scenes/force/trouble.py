@@ -1,4 +1,4 @@
-"""What happens to the camera of a ``glue`` scene on the way: nothing arrives, or fields show something else."""
+"""Camera faults of a ``glue`` scene during the run: fields do not arrive, or show something else."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 
 class Trouble:
-    """When what happens, from the beginning of a travel on.
+    """Camera faults by time, from the beginning of a travel on.
 
     Args:
         table: spans of time, and how large it is.
-        rng: of the pictures; a stream of its own leaves their noise as it is.
+        rng: random generator of the faults, separate from that of the picture noise.
 
     Attributes:
-        follower: whose travel it is; before it is known nothing happens.
+        follower: the follower whose travel it is; without it there are no faults.
     """
 
     def __init__(self, table: CameraTrouble, rng: np.random.Generator) -> None:
@@ -42,11 +42,11 @@ class Trouble:
         return self._during(self._table.loss, t)
 
     def seen(self, field: Field, seen: LineField) -> LineField:
-        """What a field shows: perhaps points anywhere beside the line, each said to be good."""
+        """The field with its faults: perhaps points beside the line, each marked as valid."""
         return self.garbage(seen) if self._during(self._table.garbage, field.t_stamp) else seen
 
     def garbage(self, seen: LineField) -> LineField:
-        """The field with its points moved beside the line, all together and each a little by chance."""
+        """The field with its points moved beside the line, by a common and a small random displacement each."""
         size = 1e-3 * self._table.garbage_mm
         beside = size * self._rng.uniform(-1, 1) + 0.2 * size * self._rng.standard_normal(len(seen.points_tcp))
         points = seen.points_tcp.copy()
@@ -56,26 +56,26 @@ class Trouble:
 
 @dataclass(frozen=True)
 class TroubledCamera:
-    """A ``Camera`` in trouble."""
+    """A ``Camera`` with faults."""
 
     camera: Camera
     trouble: Trouble
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
-        """See ``Camera.request``."""
+        """Asks for the fields of a cycle before it begins; see ``Camera.request``."""
         def wanted(exposure: float) -> Sequence[Window] | None:
             return None if self.trouble.lost(exposure) else windows(exposure)
 
         self.camera.request(t0, t1, wanted)
 
     def arrived(self, t: float) -> list[Field]:
-        """See ``Camera.arrived``."""
+        """The fields that have arrived by the controller time ``t`` [s]; see ``Camera.arrived``."""
         return self.camera.arrived(t)
 
 
 @dataclass(frozen=True)
 class TroubledDetector:
-    """A ``LineDetector`` of fields in trouble."""
+    """A ``LineDetector`` with faults."""
 
     name: ClassVar[str] = "troubled"
     detector: LineDetector
@@ -83,5 +83,5 @@ class TroubledDetector:
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """See ``LineDetector.detect``."""
+        """Line points of a field, in the tool frame; see ``LineDetector.detect``."""
         return self.trouble.seen(field, self.detector.detect(field, camera, prediction, settings))

@@ -1,1 +1,1 @@
-"""Planning, playing and reporting identification motions."""
+"""Plans, runs and reports identification motions."""

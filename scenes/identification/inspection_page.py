@@ -14,12 +14,12 @@ from scenes.verdict import BAD, GOOD, Verdict
 
 
 def inspection_page(found: Inspection, robot: Robot, then: tuple[str, str]) -> Report:
-    """The page of an inspection: what does not fit, what to do next, and what the recording holds.
+    """The page of an inspection: implausible entries, next steps, and the content of the recording.
 
     Args:
-        found: what the recording holds.
+        found: the inspection.
         robot: the arm it is to be of.
-        then: what to do next, a sentence and its command.
+        then: the next steps, each a sentence and its command.
     """
     recording = found.recording
     verdict = found.refused or ("it does not fit the URDF" if found.contradictions else

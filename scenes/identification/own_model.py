@@ -1,4 +1,4 @@
-"""An arm's own model: identified from motions that the simulated arm plays."""
+"""An arm's own model, identified from motions of the simulated arm."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from sim.arm.world import World
 
 def identified_model(robot_name: str, *, world: World | None = None, boxes: Sequence[Obstacle] = (),
                      progress: Progress = silent) -> tuple[Model, list[Recording]]:
-    """Plays two identification motions on a simulated arm and identifies everything from them.
+    """Runs two identification motions on a simulated arm and identifies a complete model from them.
 
     Args:
-        robot_name, world: the arm as its data sheet has it, and what it is like; its default world if None.
-        boxes: that stand in the cell.
+        robot_name, world: the arm by its data sheet, and its simulated world; the default one if None.
+        boxes: boxes that stand in the cell.
         progress: called with the fraction done.
     """
     robot = arm_of(robot_name) if world is None else world.with_cycles(arm_of(robot_name))
@@ -40,7 +40,7 @@ def identified_model(robot_name: str, *, world: World | None = None, boxes: Sequ
     model = identify_model(recordings, robot).model
     model = model.with_effects(fit_ripple(recordings, model, robot))
     if model.command is not None and model.controller is not None:
-        # The loop that knows the ripple predicts better than the one that was compared with the command's law.
+        # The final loop knows the ripple and predicts better than the one that was first compared with the command law.
         model = replace(model, command=judged(model.command, recordings, model, robot))
     return model, recordings
 

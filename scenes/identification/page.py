@@ -31,11 +31,11 @@ MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
 
 
 def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, kept: str = "") -> Report:
-    """The page of an identification: how good the model is, what to do next, and all that it holds folded away.
+    """The page of an identification: quality of the model, next steps, and its content folded.
 
     Args:
-        analysis: what was identified.
-        call: the first recording and the robot, for the commands of what to do next.
+        analysis: the identified model.
+        call: the first recording and the robot, for the commands of the next steps.
         kept: file of the model; empty where it was not written.
     """
     model, result = analysis.model, analysis.result
@@ -90,7 +90,7 @@ def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, ke
 
 
 def command_page(analysis: CommandIdentification) -> Report:
-    """The page on what commands and angles alone determine of an arm, and what they cannot."""
+    """The page on what commands and angles without torques determine of an arm, and what they cannot."""
     page = Report(f"Commands of {analysis.model.arm.name}", "Which command makes each joint move so, from commands "
                   "and angles alone. precorrect and play use it; diagnosis needs torques.")
     for warning in analysis.warnings:
@@ -118,7 +118,7 @@ def _commands(page: Report, model: Model, *, folded: bool = True) -> None:
 
 
 def verdict_table(analysis: IdentificationResult) -> tuple[list[str], list[list[Any]]]:
-    """Column titles and rows of what the model of each joint is worth."""
+    """Column titles and rows of the quality of each joint's model."""
     return (["joint", "verdict", "residual torque [%]", "standard error [%]", "why", "motion that determines more"],
             [[v.joint, Verdict(v.verdict), v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
              for v in analysis.verdicts])
@@ -278,7 +278,8 @@ def torque_figure(prediction: Prediction, units: Sequence[str]) -> Figure:
         axis.set_ylabel(f"τ_{j + 1} [{units[j]}]")
         axis.grid(alpha=0.25)
         axis.margins(x=0)
-        # At a reversal the linearised uncertainty of the presliding angle is many times the friction itself.
+        # At a reversal the linearised uncertainty of the presliding angle is many times the friction, so the limits
+        # leave it out.
         shown = np.concatenate([prediction.measured[:, j], tau, prediction.measured[:, j] - tau])
         room = 0.1 * float(np.ptp(shown)) + 1e-9
         axis.set_ylim(float(shown.min()) - room, float(shown.max()) + room)
@@ -299,7 +300,7 @@ def _panels(n: int, height: float, sharex: bool = False) -> tuple[Figure, list[A
 
 
 def friction_figure(analysis: IdentificationResult) -> Figure:
-    """Friction over speed of each joint, with the torque that is left without the rest of the model."""
+    """Figure of each joint's friction over speed: the torque less the rest of the model, and the law's curve."""
     model = analysis.model
     figure, axes = _panels(model.n, 2.9)
     points = friction_points(model, analysis.result)
@@ -320,7 +321,7 @@ def friction_figure(analysis: IdentificationResult) -> Figure:
 
 
 def friction_spread(analysis: IdentificationResult) -> tuple[list[str], list[list[Any]]]:
-    """How far the measured friction lies from the law's curve, and how much of that the whole model explains."""
+    """Table of the deviations of measured friction from the law's curve, and the share that the model explains."""
     model = analysis.model
     points = friction_points(model, analysis.result)
     rows: list[list[Any]] = []
@@ -337,7 +338,7 @@ def drift_figure(found: ControllerIdentification, unit: str) -> Figure:
     """Deviation of the simulated controller torque [``unit``] with the optimised and the directly estimated k_I."""
     figure, axes = _panels(found.measured.shape[1], 2.6, sharex=True)
     for j, axis in enumerate(axes):
-        # Every sample of every joint: only axes and letters are drawn as vectors.
+        # Curves with every sample of every joint are rasterised: only axes and text are vectors.
         axis.plot(found.t, found.drifting[:, j] - found.measured[:, j], color=MEASURED, linewidth=0.8,
                   label="k_I estimated directly", rasterized=True)
         axis.plot(found.t, found.simulated[:, j] - found.measured[:, j], color=PREDICTED, linewidth=0.8,

@@ -1,4 +1,4 @@
-"""Identification motions: planned, written out, and played on the simulated arm."""
+"""Identification motions: planned, written, and run on the simulated arm."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Plan(Summarised):
     source: FourierMotion | Program
 
     def summary(self) -> list[tuple[str, str]]:
-        """Method and length of the motion."""
+        """Method and length of the motion as rows of label and value."""
         samples, joints = self.commands.shape
         return [("method", f"{self.method!r}, {joints} joints"), ("duration", f"{samples * self.t_ipo:.1f} s")]
 
@@ -80,7 +80,7 @@ class Plan(Summarised):
 
 def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, points: int = 10,
          workspace: Workspace | None = None) -> Plan:
-    """Plans a motion from the robot's home posture; InputError where none is possible in limits, workspace and cell.
+    """Plans a motion from the robot's home posture; InputError where limits, workspace and cell permit none.
 
     Args:
         robot: the arm.
@@ -95,7 +95,7 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
     rng, workspace = np.random.default_rng(seed), workspace or Workspace.of(robot)
     room = workspace.on_the_way(robot)
     failure: InputError | None = None
-    # Where joints turn far most random motions hit the floor, and the way to one may lead through what stands there.
+    # With large motions most random ones hit the floor, and the path to one may lead through obstacles.
     for _ in range(_TRIES):
         try:
             motion = _one(robot, method, rng, period, points, workspace)
@@ -121,7 +121,7 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
     """Commands ``(N, n)`` [rad] from rest through one period of the motion and slow reversals about its end.
 
     Args:
-        robot, motion: the arm, with its limits, and what it plays.
+        robot, motion: the arm, with its limits, and its motion.
         start: joint angles at rest ``(n,)`` [rad].
         t_ipo: cycle of the commands [s].
         workspace: in which the reversals stay, smaller where they would not; anywhere if None.
@@ -155,13 +155,13 @@ def _slow_reversals(q0: Array, robot: Robot, t_ipo: float, workspace: Workspace 
 
 def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float], None] = lambda share: None,
               world: World | None = None) -> Recording:
-    """Plays a plan on the simulated arm and returns what the controller logged.
+    """Runs a plan on the simulated arm and returns what the controller logged.
 
     Args:
         planned: the motion.
-        robot, world: the arm as its data sheet has it, and what it is like; its default world if None.
+        robot, world: the arm by its data sheet, and its simulated world; the default one if None.
         seed: of the world's noise.
-        progress: called with the share played.
+        progress: called with the share done.
     """
     world = World.default(robot) if world is None else world
     with SimulatedArm(robot, world, np.random.default_rng(seed), robot.home) as arm:

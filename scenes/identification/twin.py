@@ -1,4 +1,4 @@
-"""A world for the simulator from an identified model: what the recordings tell, and a class's values for the rest.
+"""A simulated world from an identified model: what recordings determine, and typical values for the rest.
 
 Only the simulated arm gets it. The model under test is identified from that arm's own recordings, as from a real one's.
 """
@@ -52,12 +52,12 @@ _EDGE = 0.5
 
 @dataclass(frozen=True)
 class Twin:
-    """A twin's world.
+    """A simulated world that resembles a recorded arm.
 
     Attributes:
         table: of the scene's ``[world]``, its ``spread`` included.
-        seen: what the recordings told, and how it was taken.
-        assumed: what they did not tell, and what was taken instead.
+        seen: quantities from the recordings, and how they were used.
+        assumed: quantities that they do not determine, and the values used instead.
     """
 
     table: dict[str, Any]
@@ -65,15 +65,15 @@ class Twin:
     assumed: tuple[str, ...]
 
     def world(self, robot: str) -> World:
-        """The first of the twin's individuals, its robot as the scene names it."""
+        """The world of the twin's first individual; its robot is named as in the scene."""
         return World.from_table(robot, {**self.table, "individual": 1})
 
 
 def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
-    """The world of a recorded arm.
+    """Makes the world of a recorded arm.
 
     Args:
-        analysis: what was identified from its recordings.
+        analysis: the model identified from its recordings.
         robot, name: the arm as its data sheet has it, and as scenes name it.
     """
     model, recordings = analysis.model, analysis.estimation
@@ -129,7 +129,7 @@ def _left_of(twin: Twin, robot: Robot, name: str, recording: Recording, octaves:
 
 
 def played_again(world: World, robot: Robot, recording: Recording, seed: int) -> Recording:
-    """What the twin's controller logs along a recorded motion: of its commands, else of its positions.
+    """The twin's recording of a recorded motion: of its commands, else of its positions.
 
     Args:
         world, robot: the twin's, and the arm as its data sheet has it.
@@ -179,7 +179,7 @@ def _usual_rotors(robot: Robot) -> Array:
 
 
 def behind_gears(own: Recording, twin: Twin, filters: dict[str, Any]) -> Recording:
-    """A twin's recording without the torques that accelerate its extra rotors, which no recording has shown.
+    """A twin's recording without the torques of its added rotors, which recordings do not determine.
 
     Args:
         own, twin: the recording, and the twin that made it.

@@ -1,4 +1,4 @@
-"""A twin plays the recorded motion: its torques beside the measured ones, and what identification leaves of both."""
+"""A twin runs the recorded motion: its torques beside the measured ones, and the identification residuals of both."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _SEGMENT = 5.0
 
 @dataclass(frozen=True, repr=False)
 class TwinResult(Summarised):
-    """A twin, and how it compares with the recording that it plays.
+    """A twin, and its comparison with the recording.
 
     Attributes:
         twin: its world.
-        analysis: what was identified from the recordings.
+        analysis: the model identified from the recordings.
         rms: of the torque, measured and the twin's ``(2, n)`` [N m].
         spectrum: difference of the amplitudes in octaves, weighted by the measured ones' power, over them ``(n,)``.
         left: std(residual) / std(torque) of identification, on the measured and on the twin's recording ``(2, n)`` [%].
@@ -50,7 +50,7 @@ class TwinResult(Summarised):
     left: Array
 
     def summary(self) -> list[tuple[str, str]]:
-        """How near the twin is."""
+        """How well the twin agrees with the recording, as rows of label and value."""
         return [("torque, twin over measured", listed(self.rms[1] / self.rms[0])),
                 ("spectrum off by", listed(100.0 * self.spectrum, "%")),
                 ("seen", "; ".join(self.twin.seen)), ("assumed", "; ".join(self.twin.assumed) or "nothing")]
@@ -61,7 +61,7 @@ class TwinResult(Summarised):
         return [title.replace("N m", one_unit(self.analysis.model.units("N m"))) for title in COLUMNS]
 
     def rows(self) -> list[list[Any]]:
-        """A row a joint: torques, their ratio, spectrum, and what identification leaves of both."""
+        """One row per joint: torques, their ratio, spectrum, and the identification residuals of both."""
         return [[j + 1, self.rms[0, j], self.rms[1, j], 100.0 * (self.rms[1, j] / self.rms[0, j] - 1.0),
                  100.0 * self.spectrum[j], self.left[0, j], self.left[1, j]] for j in range(self.rms.shape[1])]
 
@@ -80,7 +80,7 @@ COLUMNS = ["joint", "torque measured [N m]", "twin's [N m]", "off by [%]", "spec
 
 def make_twin(recordings: list[Recording], robot_name: str, *, analysis: IdentificationResult | None = None,
               seed: int = 1, progress: Progress = silent) -> TwinResult:
-    """A twin of recordings, played along the first of them.
+    """Makes a twin from recordings and runs it along the first of them.
 
     Args:
         recordings, robot_name: of free motion, as for ``identify_model``, of a shipped robot or URDF.
@@ -123,7 +123,7 @@ def _compared(measured: Recording, own: Recording) -> tuple[Array, Array]:
 
 
 def twin_text(twin: Twin, robot_name: str, file: Path) -> str:
-    """The file of a twin: a scene in which its arm follows a line, with its world; of fewer joints the world alone.
+    """The scene file of a twin, in which its arm follows a line; for fewer than six joints its world alone.
 
     Args:
         twin, robot_name: its world, and shipped robot or URDF.

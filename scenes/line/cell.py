@@ -1,4 +1,4 @@
-"""What a line-following run needs before anything moves: world, line, reference, camera and its calibration."""
+"""Sets up a line scene before the run: world, line, reference, camera and its calibration."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _smooth(s: Array, rng: np.random.Generator) -> Array:
 
 
 def bent_surface(scene: LineScene, where: Geometry, rng: np.random.Generator) -> HeightSurface | None:
-    """Half a sine wave over the line's longest extent, nothing at its ends; None where the surface is flat.
+    """A surface curved by half a sine over the line's longest extent, zero at its ends; None for a flat surface.
 
     Args:
         scene: its table ``displacement``.
@@ -101,7 +101,7 @@ def bent_surface(scene: LineScene, where: Geometry, rng: np.random.Generator) ->
         rng: draws whether the middle is up or down.
 
     Raises:
-        InputError: a bent surface with a camera that sees the plane alone.
+        InputError: a curved surface with a camera that renders planes only.
     """
     bow = 1e-3 * scene.displacement.bow_mm
     up = rng.choice([-1.0, 1.0])
@@ -124,7 +124,7 @@ STRIPS = (0.05, 0.05)
 
 @dataclass(kw_only=True)
 class Cell:
-    """Everything of one run that is set up before anything moves.
+    """All objects of one run, as set up before the motion.
 
     The follower is given ``known`` alone; the rest is the world.
     """
@@ -145,11 +145,11 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     """Builds world, camera, reference and follower of a scene.
 
     Args:
-        scene: what to play.
-        hand_eye: camera and surface as moving over the line has shown them, if it has: the reference is laid on that
-            surface. What it could not tell is left to the follower.
+        scene: the scene.
+        hand_eye: camera and surface from the calibration by moving, if there was one: the reference is moved onto that
+            surface; the follower estimates the rest.
         camera: to be believed in place of the one that was mounted by hand.
-        shape: how far the line's shape leaves its reference's, as pictures have shown it.
+        shape: deviation of the line's shape from its reference's, estimated from pictures.
 
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
@@ -182,7 +182,7 @@ def streams(scene: LineScene) -> list[np.random.Generator]:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What runs of the same scene share: rendered surface, the line's looks, and the camera as calibrated by moving."""
+    """Data that runs of the same scene share: rendered surface, line appearance, and camera calibration."""
 
     camera: RenderedCamera
     detection: DetectionSettings
@@ -212,7 +212,7 @@ def camera_of(cell: Cell) -> RenderedCamera:
 
 
 def lamp_over(scene: LineScene, where: Geometry, rng: np.random.Generator) -> Lamp | None:
-    """The scene's lamp; None where there is light from everywhere.
+    """The scene's lamp; None where light is uniform.
 
     Args:
         scene: its table ``light``.
@@ -230,15 +230,15 @@ def lamp_over(scene: LineScene, where: Geometry, rng: np.random.Generator) -> La
 
 @contextmanager
 def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared]:
-    """Paints the surface, looks at the line and calibrates the camera, for one or many runs of the scene.
+    """Paints the surface, finds the line's appearance and calibrates the camera, for runs of the scene.
 
     Raises:
-        InputError: the scene cannot be played.
+        InputError: the scene cannot be run.
     """
     cell = set_up(scene)
     with camera_of(cell) as camera:
         shared = _looked_at(scene, cell, camera, progress)
-        # The tables of a long path are not held while those of the play are made.
+        # The tables of a long path are freed before those of the run are made.
         del cell
         yield shared
 
@@ -270,7 +270,7 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
 
 
 class LineWorld:
-    """The truth of a play, for sensors that are simulated; nothing of the controller's sees it."""
+    """The true world of a run, for simulated sensors only."""
 
     def __init__(self, arm: SimulatedArm, line: DrawnLine) -> None:
         self._arm, self._line = arm, line

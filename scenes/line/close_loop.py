@@ -1,15 +1,15 @@
-"""The closing of a line: follow it, diagnose that run alone, follow it again.
+"""Closing with a line: follow it, diagnose that run alone, follow it again.
 
-What the diagnosis finds of time stamps, mounting and lens goes into the model file, from where the follower takes what
-it believes. What decides is how close the points that the camera saw lie to one smooth curve: all the cell itself can
-measure of its camera.
+Diagnosed errors of time stamps, mounting and lens go into the model file, from which the follower takes its
+assumptions. A change is accepted by the distance of the seen points from one smooth curve, which is all that a real
+cell can measure of its camera.
 
-A run along a line says nothing of the arm's gears and friction: it turns hardly a joint round. So a motion about the
-line is diagnosed once nothing more is found of the camera, and what decides is how close the tool keeps to what the
-follower wanted. In a cell (``world = "cell"``) the joint controllers are identified anew from that motion, too: drives
-there compensate friction, and their gains follow the inertia. The arm is cold, so its friction is adapted meanwhile.
-The arm's geometry stays as drawn: a camera that rides on the arm sees the line by the same wrong geometry with which
-the arm then goes there, and what one line shows of it would bend everything off that line.
+A run along a line does not determine the arm's gears and friction, as hardly a joint reverses. So a motion about the
+line is diagnosed once no more camera errors are found, and its changes are accepted by the tool's distance from the
+follower's desired path. In a cell (``world = "cell"``) the joint controllers are identified anew from that motion, too:
+drives there compensate friction, and their gains follow the inertia. The arm is cold, so its friction is adapted
+meanwhile. The arm's geometry stays as drawn: a camera that rides on the arm sees the line by the same wrong geometry
+with which the arm then goes there, and what one line shows of it would bend everything off that line.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def assumed_latency(model: Model) -> float:
 
 def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """See ``CloseLoop.__call__``: follows a line, and finds what is wrong with the camera."""
+    """Runs a line scene and diagnoses its camera and arm; see ``CloseLoop.__call__``."""
     undeclared = undeclared_effects(scene)
     arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else _drives(scene)
     return closed(scene, undeclared, arm=tuple(pair for pair in arm if pair[0] != "kinematic_error"), measured=measured,
@@ -94,13 +94,13 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
 
 def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, ...] = (), measured: str = "tcp",
            out: Path | None = None, progress: Progress = silent) -> Closing:
-    """Closes the loop with what an oracle is given, which may be nothing.
+    """Closes the loop for given true errors, which may be none.
 
     Args:
-        scene: what to play.
-        undeclared: names of the effects by which the camera differs from what its follower knows.
-        arm: effects, with their joints, by which the arm differs from its model; without any it is not looked at.
-        measured: what the arm measures.
+        scene: the scene.
+        undeclared: names of the effects by which the camera differs from the follower's model.
+        arm: effects, with their joints, by which the arm differs from its model; without any the arm is not diagnosed.
+        measured: the quantities that the arm measures.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
     """
@@ -120,7 +120,7 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, .
         try:
             oracle = line.play(oracle_model) if undeclared or arm else before
         except SceneError:
-            # With what it fitted to the first run the line is lost: it would leave that out.
+            # With the parameters fitted to the first run the line is lost, so the oracle does not use them.
             oracle = before
         stamped = known.with_effects(_true_stamps(scene))
         right = shared if scene.calibration.by_moving else dataclasses.replace(shared, believed=cell.true_camera)
@@ -151,7 +151,7 @@ class _Line(Subject[LineResult]):
         scene = self.scene.model_copy(update={"model": str(model.save(self.folder / "model.json"))})
         run = play(scene, ADAPTED if _of_cell(scene) else IDEAL, shared=shared or self.shared)
         if run.failure and model is not self.known and not self.stops:
-            # Of the piece before it stopped nothing can be compared, unless the first one stopped, too.
+            # A run that stopped early cannot be compared, unless the first one stopped, too.
             raise SceneError(run.failure)
         self.stops = self.stops or bool(run.failure)
         return run
@@ -159,13 +159,14 @@ class _Line(Subject[LineResult]):
     def find(self, model: Model, run: LineResult, progress: Progress) -> Found:
         diagnosis = diagnose(self.seen(run), self.robot, model=model, progress=progress)
         names = tuple(dict.fromkeys(f.fitted.name for f in diagnosis.effects if f.fitted.channel == "line"))
-        # Causes that a poor run does not distinguish may be too large together: each is tried alone, too.
+        # Causes that a poor run does not distinguish may be too large together, so each is tried alone, too.
         together = (self._camera(names),) if len(names) > 1 else ()
         return Found(diagnosis, self.seen(run), (Group(together, tuple((self._camera((name,)),) for name in names)),))
 
     def _camera(self, names: tuple[str, ...]) -> Form:
         def change(model: Model, run: LineResult) -> Model:
-            # What was taken before is fitted anew with it: the numbers of one camera hang together.
+            # Effects that were accepted before are fitted again with the new one, as the camera's parameters are
+            # correlated.
             before = [effect.name for effect in model.effects if effect.channel == "line"]
             return model.with_effects(self.fitted(run, model, tuple(dict.fromkeys([*before, *names]))))
 
@@ -187,7 +188,7 @@ class _Line(Subject[LineResult]):
 
     def readings(self, before: LineResult, after: LineResult, known: Model, model: Model) -> list[tuple[Array, Array]]:
         if model.controller is not known.controller:
-            # What controllers are for, whatever gears and geometry add behind the motors.
+            # Controllers are judged by the motor angles, whatever gears and geometry add behind the motors.
             return [(self._kept(before, "motor"), self._kept(after, "motor"))]
         of_camera = not model.effects or model.effects[-1].channel == "line"
         deviation = self._spread if of_camera or before is after else self._kept
@@ -275,7 +276,7 @@ def _played(name: str, run: LineResult, latency: float) -> Played:
 
 
 def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
-    """Effects by which the camera of a scene differs from what its follower knows.
+    """Effects by which the camera of a scene differs from the follower's model.
 
     Raises:
         InputError: none, nor any of the arm, or one that cannot be seen along a line; names the keys.

@@ -1,4 +1,4 @@
-"""One line, several methods, side by side."""
+"""Compares several methods on one line."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OVERSHOOT = 0.05
 
 def best_gains(scene: LineScene, shared: Prepared, *, progress: Progress = silent
                ) -> tuple[tuple[float, float], tuple[GainTrial, ...]]:
-    """K_p and K_d of direct sensor feedback with the least mean error on this scene, and all that was tried.
+    """K_p and K_d of direct sensor feedback with the least mean error on this scene, and all trials.
 
     Args:
         scene: in which they are searched.
@@ -54,9 +54,9 @@ def best_gains(scene: LineScene, shared: Prepared, *, progress: Progress = silen
 
 
 def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[float, tuple[tuple[float, float], ...]]:
-    """Largest K_p that does not overshoot a sideways step with this camera and this speed.
+    """Largest K_p that does not overshoot a lateral step with this camera and this speed, and all trials.
 
-    The step is a straight line beside its reference by 10 mm; what the TCP does beyond the line is overshoot.
+    The step is a straight line beside its reference by 10 mm; overshoot is the TCP's distance beyond the line.
     """
     origin = scene.surface.origin
     step = scene.changed(
@@ -68,7 +68,7 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
         for i, k_p in enumerate(K_P):
             result = play(step, DIRECT, gains=(k_p, 0.0), shared=shared)
             lateral = result.control_error_from_start.lateral
-            # Of a line that the camera never shows nothing is followed: no gain is small enough.
+            # A line that the camera never shows is not followed with any gain.
             beyond = max(0.0, -np.min(lateral / lateral[0])) if len(lateral) else np.inf
             trials.append((k_p, float(beyond)))
             progress((i + 1) / len(K_P), "searching the gain at which direct feedback overshoots")
@@ -79,11 +79,11 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
 
 @dataclass(frozen=True, repr=False)
 class LineComparison(ShownTable):
-    """Every method on the same scene, by their keys.
+    """Results of every method on the same scene, by their keys.
 
     Attributes:
         gains: K_p, K_d of direct sensor feedback, found by search; None where it is not among the methods.
-        tried: every pair of gains tried, with the mean error it left [m].
+        tried: every pair of gains tried, with its mean error [m].
         overshoot_gain: largest K_p whose overshoot over a sideways step stays below 5 %.
         overshoots: K_p → overshoot relative to the step.
     """
@@ -115,7 +115,7 @@ class LineComparison(ShownTable):
         }
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a method; errors in mm."""
+        """The methods as a table: titles, and one row per method; errors in mm."""
         columns = ["method", "mean mm", "95 % mm", "max mm", "E_car time-matched", "E_car aligned", "E_car geometric",
                    "fields used", "ended early"]
         rows = []
@@ -130,10 +130,10 @@ class LineComparison(ShownTable):
 
 def compare_lines(scene: LineScene, methods: Sequence[SceneMethod], *, sensors: Sequence[DeviationSensor] = (),
                   progress: Progress = silent) -> LineComparison:
-    """Follows the line with each method; direct sensor feedback with the gains that suit this very scene best.
+    """Follows the line with each method; direct sensor feedback uses the best gains for this scene.
 
     Args:
-        scene: what to play.
+        scene: the scene.
         methods: in the order of the table.
         sensors: besides the camera, with every method.
         progress: called with the fraction done.
@@ -173,13 +173,13 @@ MARGIN = 0.9
 
 @dataclass(frozen=True, repr=False)
 class Fastest(Summarised):
-    """What the trials gave.
+    """The result of the search for the fastest speed.
 
     Attributes:
         speed: the fastest one that keeps the tolerance [m/s].
         tolerance: that 95 % of the way have to keep [m].
-        predicted: 95 % of the error at that speed, as the other trials tell [m].
-        trials: speed [m/s] and 95 % of the error [m] of each, in the order played.
+        predicted: 95 % of the error at that speed, as predicted from the other trials [m].
+        trials: speed [m/s] and 95 % of the error [m] of each, in the order of the trials.
     """
 
     speed: float
@@ -188,7 +188,7 @@ class Fastest(Summarised):
     trials: tuple[tuple[float, float], ...]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The speed and what it keeps."""
+        """The speed and its error as rows of label and value."""
         return [("speed", f"{self.speed:.3g} m/s within {1e3 * self.tolerance:g} mm"),
                 ("95 % predicted", f"{1e3 * self.predicted:.3g} mm"), ("trials", str(len(self.trials)))]
 
@@ -200,14 +200,14 @@ class Fastest(Summarised):
 
 def fastest(scene: LineScene, tolerance: float, *, method: Any = None, shared: Prepared | None = None,
             progress: Progress = silent) -> Fastest:
-    """Looks for the fastest speed at which 95 % of the way lie within a tolerance.
+    """Searches the fastest speed at which 95 % of the path lie within a tolerance.
 
     Errors grow with the accelerations, so with the square of the speed: e(v) = a + b v², a and b by least squares from
     the trials so far. The next trial is where that reaches the tolerance, until it no longer moves, or the joints allow
     no more.
 
     Args:
-        scene: what to follow.
+        scene: the scene.
         tolerance: for 95 % of the distances from the line [m].
         method: how the path is corrected; the scene's own if None.
         shared: from ``prepared`` of the scene, to save its time.
@@ -238,7 +238,7 @@ def fastest(scene: LineScene, tolerance: float, *, method: Any = None, shared: P
         if error > tolerance:
             ceiling = min(ceiling, speed)
         estimate = _reaching(trials, MARGIN * tolerance)
-        # Beyond a trial that failed nothing is tried again.
+        # Speeds beyond a failed trial are not tried again.
         speed = min(estimate, STEP * max(allowed), 0.5 * (max(allowed) + ceiling) if np.isfinite(ceiling) else np.inf)
         speed = max(speed, max(allowed))
     chosen = max(v for v, e in trials if e <= tolerance)

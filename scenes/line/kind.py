@@ -1,4 +1,4 @@
-"""What scenes of kind ``line`` offer: play with one method, compare several, curves for the viewer, close the loop."""
+"""The functions of scenes of kind ``line``: run, compare methods, curves for the viewer, close the loop."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PREPARED, _PLAYED = 0.4, 0.35
 def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
         gains: tuple[float, float] | None = None, shared: Prepared | None = None,
         sensors: Sequence[DeviationSensor] = ()) -> LineResult:
-    """See ``Play.__call__``: follows the line once.
+    """Follows the line once, see ``Play.__call__``.
 
     ``gains`` are K_p, K_d of direct sensor feedback [1 per cycle], found by search if None; ``shared``, ``prepared``
     of the same scene, saves its time; ``sensors`` beside the camera are fused with it ([L] 4.3).
@@ -44,7 +44,7 @@ def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progre
     result = play(scene, chosen, shared=shared, gains=gains, sensors=sensors, progress=part_of(progress, 0.0, _PLAYED),
                   pictures=out is not None)
     if result.method != NONE and result.control_error.mean > DOUBTFUL:
-        # What it gains over no correction is played for it.
+        # The run without correction is done to measure the improvement.
         result = result.beside_none(play(result.scene, NONE, shared=shared, sensors=sensors))
     progress(_PLAYED, "report")
     return result if out is None else write_run_files(result, run_page, out, line_replay(result))
@@ -52,7 +52,10 @@ def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progre
 
 def compare(scene: LineScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent, sensors: Sequence[DeviationSensor] = ()) -> LineComparison:
-    """See ``Compare.__call__``: direct sensor feedback at its best gains; ``sensors`` beside the camera with all."""
+    """Compares methods, direct sensor feedback at its best gains; ``sensors`` are added to the camera in all.
+
+    See ``Compare.__call__``.
+    """
     comparison = compare_lines(scene, compared(methods, play_methods(), PLAIN), sensors=sensors, progress=progress)
     return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 

@@ -1,4 +1,4 @@
-"""What is shown of line-following runs: the page of one, the page that compares methods, the replay."""
+"""Pages and replay of line-following runs: one run, or several methods compared."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def nearest(geometry: Geometry, points: Array) -> Array:
     """The drawn line's points nearest to points ``(N, 3)`` [m], both in the surface."""
     plane = geometry.plane
     up = plane.rotation[:, 2]
-    # The height above the surface is no error of following.
+    # The height above the surface is not part of the following error.
     height = np.outer((points - plane.translation) @ up, up)
     return np.asarray(Polyline(geometry.drawn).nearest(points - height, up).foot + height)
 

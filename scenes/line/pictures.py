@@ -20,7 +20,7 @@ SHOWN = 4
 
 
 class Pictures(Sensor):
-    """Looks over a camera's shoulder, and keeps a field now and then.
+    """Stores some of the camera's fields for the report.
 
     Args:
         camera: whose fields.
@@ -36,7 +36,7 @@ class Pictures(Sensor):
         return Work.NOTHING
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
-        """See ``Sensor.ended``."""
+        """Notes the end of the cycle that began at ``t0`` [s]; see ``Sensor.ended``."""
         k = round(t0 / self._follower.robot.t_ipo)
         if k not in self._at:
             return

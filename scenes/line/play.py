@@ -1,4 +1,4 @@
-"""Plays a line-following scene: camera, sensing, planning and ideal robot around the simulated arm ([L] Fig. 1)."""
+"""Runs a line-following scene: camera, sensing, planning and ideal robot around the simulated arm ([L] Fig. 1)."""
 
 from __future__ import annotations
 
@@ -43,11 +43,12 @@ def methods() -> tuple[str, ...]:
 def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
          gains: tuple[float, float] | None = None, sensors: Sequence[DeviationSensor] = (),
          progress: Progress = silent, pictures: bool = False) -> LineResult:
-    """Follows the line once; nothing is written.
+    """Follows the line once without writing files.
 
     Args:
-        scene: what to play.
-        method: how what is sensed becomes commands: a key, a ``Feedforward``, a factory of one, or a ``SceneMethod``.
+        scene: the scene.
+        method: method that turns sensor data into commands: a key, a ``Feedforward``, a factory of one, or a
+            ``SceneMethod``.
         shared: from ``prepared`` of the same scene, to save its time.
         gains: K_p, K_d of direct sensor feedback [1 per cycle].
         sensors: besides the camera.
@@ -55,7 +56,7 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
         pictures: whether camera fields are kept as pictures.
 
     Raises:
-        InputError: the scene cannot be played: line out of reach, unreachable speed.
+        InputError: the scene cannot be run: line out of reach, unreachable speed.
     """
     method = method_of(method, methods())
     if method.key == POINTS:
@@ -71,7 +72,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
     scene, follower = cell.known.scene, cell.known.follower
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
         carried = CarriedCamera(shared.camera, arm, Knock.of(scene.camera))
-        # Sensors that are simulated are shown the world.
+        # Simulated sensors get access to the true world.
         for sensor in (candidate for candidate in sensors if hasattr(candidate, "mount")):
             sensor.mount(LineWorld(arm, cell.line))
         model = model_for(scene, cell.known.robot) if method.knows_model else None

@@ -1,4 +1,4 @@
-"""What following a line yields: errors in SI units, the recording, the timing."""
+"""The result of following a line: errors in SI units, the recording, the timing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GAIN = 0.5
 
 
 def far_from_line(mean: float) -> str:
-    """A warning for a mean distance from the line [m] that is too large to be used; empty for a small one."""
+    """A warning for a mean distance from the line [m] that is too large for use; empty for a small one."""
     if not mean > FAR:
         return ""
     return (f"the tool stayed {1e3 * mean:.1f} mm from the line on average, which is more than {1e3 * FAR:g} mm: check "
@@ -79,9 +79,9 @@ class LineResult(ShownRun):
     """One run along a drawn line with one method.
 
     Attributes:
-        control_error: distance of the true TCP from the drawn line while it counts.
+        control_error: distance of the true TCP from the drawn line while it is followed.
         control_error_from_start: the same from the line's first point on.
-        path_errors: true TCP against the desired path, three ways; None where the run was too short to tell.
+        path_errors: true TCP against the desired path, three ways; None where the run was too short.
         fields_seen, fields_used: camera fields that arrived, and those that gave a measurement.
         left_out: why the others gave none, each with how many.
         recording: what a controller would have logged, plus desired angles and line points.
@@ -89,7 +89,7 @@ class LineResult(ShownRun):
         world: the world's settings.
         hand_eye: how the camera was calibrated before the run, if it was.
         warning: why it was not, if it should have been, and where the line was not followed as it could be.
-        assumed: what the arm's URDF does not say, or cannot mean, and what was taken instead.
+        assumed: values used where the arm's URDF has none, or implausible ones.
         s_reference, believed: arc length of the reference at each cycle and the desired deviation there, x_d - x_r [m].
         looked_back: the deviation of the line as all fields of the run show it, smoothed; NaN where it is not kept [m].
         plan_error_mm: mean and largest distance of the desired path from it.
@@ -123,7 +123,7 @@ class LineResult(ShownRun):
     report: Path | None = None
 
     def beside_none(self, none: LineResult) -> LineResult:
-        """The result, with a warning where the run without correction is hardly worse."""
+        """The result, with a warning added where the run without correction is hardly worse."""
         warning = little_gained(self.control_error.mean, none.control_error.mean)
         return replace(self, warning="; ".join(filter(None, [self.warning, warning])))
 
@@ -160,7 +160,7 @@ class LineResult(ShownRun):
                          "along the line [mm]")
 
     def next_steps(self) -> list[tuple[str, str]]:
-        """See ``ShownRun.next_steps``."""
+        """The next steps, each a sentence and its command line; see ``ShownRun.next_steps``."""
         name = as_typed(self.scene)
         if self.failure:
             return [("Play it more slowly.", f"ideal-robot run {name} --speed {0.5 * self.scene.speed:.2g}")]
@@ -169,7 +169,7 @@ class LineResult(ShownRun):
                 ("Let your own arm follow a line.", "ideal-robot new my_line --robot my_arm.urdf")]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The few figures a person wants first."""
+        """The main figures as rows of label and value."""
         error = self.control_error
         warned = [("warning", self.warning)] if self.warning else []
         camera = [] if self.hand_eye is None else [

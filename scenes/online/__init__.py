@@ -1,1 +1,1 @@
-"""The online job: what runs in each interpolation cycle, on devices as in simulation; it knows no simulator."""
+"""What runs in each interpolation cycle, on real devices as in simulation, without any simulator."""

@@ -1,4 +1,4 @@
-"""Where the arm is behind its gears, from motor angles and what a model knows."""
+"""Estimates the arm angles behind elastic gears from motor angles and a model."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from planning.path.pose_history import PoseHistory
 
 
 class FreeArm:
-    """Arm that touches nothing: its gears give way under weight and inertia of the desired motion.
+    """Arm angles of an arm without contact: its gears deflect under weight and inertia of the desired motion.
 
     Args:
         robot: the arm as drawn.
-        model: None where the gears are not known: commands and motor angles then share the same error.
+        model: None where the gears are not known: the gears are then taken as rigid.
     """
 
     def __init__(self, robot: Robot, model: Model | None) -> None:
@@ -27,16 +27,16 @@ class FreeArm:
         self._geometry = CorrectedArm(robot, () if model is None else model.effects)
 
     def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
-        """See ``ArmAngles.at``."""
+        """Arm angles ``(n,)`` [rad] of the arm as drawn at the begin of a cycle; see ``ArmAngles.at``."""
         return self._geometry.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d))
 
 
 class PressingArm:
-    """Arm that presses: its gears give way under the contact as well, whose forces are felt late.
+    """Arm angles of an arm in contact: its gears also deflect under contact forces, which arrive late.
 
     Args:
         robot: the arm as drawn.
-        model: None where the gears are not known: commands and motor angles then share the same error.
+        model: None where the gears are not known: the gears are then taken as rigid.
         q_start: motor angles at rest before the first cycle ``(n,)`` [rad].
     """
 
@@ -46,19 +46,19 @@ class PressingArm:
                                                        InverseKinematics(robot).torque)
 
     def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
-        """See ``ArmAngles.at``."""
+        """Arm angles ``(n,)`` [rad] of the arm as drawn at the begin of a cycle; see ``ArmAngles.at``."""
         if self._arm is None:
             return q
         expected = np.zeros_like(q) if torque is None else torque[0]
         return self._geometry.as_drawn(self._arm.step(t, q, expected, steps))
 
     def feel(self, t: Array, contact: Array, history: PoseHistory) -> None:
-        """Contact forces say where the arm was when they were felt.
+        """Adds contact forces, and revises the arm angles at their instants.
 
         Args:
             t: instants ``(m,)`` [s].
             contact: forces then ``(m, 3)`` [N, tool frame].
-            history: where the arm was thought to be; is revised.
+            history: estimated arm angles over time; they are revised.
         """
         if self._arm is None:
             return

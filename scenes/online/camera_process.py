@@ -1,4 +1,4 @@
-"""The arm's side of the camera's process: asks without ever waiting, and loads nothing that reads pictures."""
+"""The cycle's side of the camera process: requests without waiting, and no code that reads pictures."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 
-# What the camera's process tells the one that leads the arm.
+# Messages of the camera's process to the process that commands the arm.
 
 @dataclass(frozen=True)
 class Header:
-    """A picture has come: when it was taken and read, by this computer's clock, and its stamp by the camera's [s]."""
+    """Notice of a picture: times of exposure and reading by this computer's clock, and the camera's stamp [s]."""
 
     number: int
     taken: float
@@ -39,7 +39,7 @@ _ASKED = 3
 
 
 class CameraProcess:
-    """The arm's side: asks without ever waiting.
+    """The cycle's connection to the camera process, which never waits.
 
     Args:
         address: of the camera, see ``open_camera``.
@@ -86,7 +86,7 @@ class CameraProcess:
         return self._process.pid
 
     def poll(self) -> list[Header | LineField | Any]:
-        """What has come since: headers, what was found in pictures, a calibration."""
+        """The messages since the last call: headers, line points found in pictures, a calibration."""
         messages: list[Any] = []
         try:
             while self.ended is None and self._pipe.poll():
@@ -103,7 +103,7 @@ class CameraProcess:
         return messages
 
     def ask(self, number: int, t: float, prediction: PredictedLine, detection: DetectionSettings) -> None:
-        """Asks for the line's points in a picture.
+        """Requests the line points of a picture.
 
         Args:
             number: of its header.
@@ -117,11 +117,11 @@ class CameraProcess:
             self._asked += 1
 
     def calibrate(self, *given: Any) -> None:
-        """Asks for a calibration from what ``sensing.camera.hand_eye.calibrate`` is given; it comes out of ``poll``."""
+        """Requests a calibration with arguments of ``sensing.camera.hand_eye.calibrate``; ``poll`` returns it."""
         self._tell("calibrate", given)
 
     def use(self, camera: CameraModel) -> None:
-        """The camera as it is calibrated, from now on."""
+        """Sets the calibrated camera that the process uses from now on."""
         self._tell("camera", camera)
 
     def close(self) -> None:
@@ -142,18 +142,18 @@ class CameraProcess:
         return True
 
 
-# The calibrated camera in a file: what calibration by moving has found stays with the cell.
+# The calibrated camera in a file, so that a calibration by moving is kept for the cell.
 
 @dataclass(frozen=True)
 class CalibratedCamera:
-    """A camera, and where its calibration is kept.
+    """A camera model with its calibration and the file of that.
 
     Attributes:
         camera: as it is believed to be.
         file: where the calibration is kept; None: nowhere.
         wanted: whether it has to be calibrated by moving.
         time_offset: what has to be added to its time stamps [s].
-        residual: root mean square of what the calibration left [m]; NaN without one.
+        residual: root mean square residual of the calibration [m]; NaN without one.
         surface: motion in the base frame that takes the surface to where it was seen; None where nothing was seen.
     """
 
@@ -166,11 +166,11 @@ class CalibratedCamera:
 
     @property
     def known(self) -> bool:
-        """Whether it was calibrated; otherwise it is believed as it was mounted by hand."""
+        """Whether the camera was calibrated; otherwise it has its nominal mounting."""
         return self.file is not None and not self.wanted
 
     def found(self, hand_eye: HandEye) -> CalibratedCamera:
-        """The camera as a calibration has found it, which is written to its file."""
+        """The camera with the result of a calibration, which is also written to its file."""
         result = replace(self, camera=hand_eye.camera, wanted=False, time_offset=hand_eye.time_offset,
                          residual=hand_eye.residual_after, surface=hand_eye.surface)
         if self.file is not None:
@@ -188,7 +188,7 @@ class CalibratedCamera:
 
 
 def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCamera:
-    """The camera of a file, if it is there; otherwise the one mounted by hand, to be calibrated where a file is given.
+    """The camera of a file if it exists; otherwise the nominal one, to be calibrated where a file is given.
 
     Args:
         by_hand: as the scene has it.

@@ -1,4 +1,4 @@
-"""The camera's process: reads pictures, finds the line's points in them, and leaves the cycle of the arm alone."""
+"""The camera's own process: reads pictures and finds line points in them, so that the arm's cycle is not delayed."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ _PRIORITY = 20
 
 
 def work(address: str, least_delay: float, camera: CameraModel, detector: str, pipe: Connection) -> None:
-    """The process: one thread reads the camera, this one evaluates.
+    """Runs the camera process: one thread reads the camera, this one evaluates pictures.
 
     Args:
         address: of the camera, see ``open_camera``.
         least_delay: from mid-exposure to arrival, at least [s].
         camera: as it is believed to be.
         detector: name of the line detector.
-        pipe: to the process that leads the arm.
+        pipe: to the process that commands the arm.
     """
     try:
-        # Ctrl-C is the business of the process that leads the arm.
+        # Ctrl-C is handled by the process that commands the arm.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         worker = _Worker(camera, detector, pipe)
-        # Before the camera is opened: its pictures must not wait.
+        # Before the camera is opened, as its pictures must not wait.
         worker.rehearse()
         give_back()
         worker.rehearse()
@@ -54,7 +54,7 @@ def work(address: str, least_delay: float, camera: CameraModel, detector: str, p
         if (source.width, source.height) != (camera.width, camera.height):
             raise InputError(f"its pictures have {source.width}×{source.height} px, the scene says "
                              f"{camera.width}×{camera.height}; set camera.width and camera.height", field="camera")
-    except Exception as error:  # whatever an own detector or a camera's library raises, too
+    except Exception as error:  # any exception of a user's detector or a camera's library
         with suppress(OSError):
             pipe.send(("failed", error if isinstance(error, InputError) else InputError(described(error))))
         return
@@ -98,8 +98,8 @@ class _Worker:
                     self._frames.append(frame)
                     self._send("header", Header(frame.number, source.clock.host(frame.stamp), frame.arrived,
                                                 frame.stamp))
-        except Exception as error:  # whatever a camera's library raises: who leads the arm has to know
-            # Who leads it may be gone.
+        except Exception as error:  # any exception of a camera's library: the process that commands the arm has to know
+            # The process that commands the arm may have ended.
             with suppress(OSError):
                 self._send("ended", ("" if isinstance(error, IdealRobotError) else "the camera cannot be read: ")
                            + described(error))
@@ -115,7 +115,7 @@ class _Worker:
                 self._send("calibrated", error)
         else:
             number, t, prediction, detection = content
-            # A copy is taken at once; between two steps of a loop another picture may come.
+            # The list is copied first, as another picture may arrive during the loop.
             frame = next((frame for frame in list(self._frames) if frame.number == number), None)
             nothing = np.empty(0)
             empty = LineField(t, np.empty((0, 3)), np.empty((0, 2)), nothing, nothing, nothing,

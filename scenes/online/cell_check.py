@@ -1,8 +1,8 @@
-"""The camera before the job: calibrated by moving, and then whether it sees the line at one place from several poses.
+"""Calibrates the camera by moving, and then checks that it sees the line at one place from several poses.
 
-A camera that has been knocked, or pictures that are cut or shifted, show the same piece of the line at other places
-when it is looked at from another height and the other side; an arm that does not follow is noticed on the way. What
-weighs on the force sensor is looked at where its tool is turned (``scenes.online.force_calibration``).
+A displaced camera, or pictures that are cropped or shifted, show the same segment of the line at other places when it
+is seen from another height and from the other side; an arm that does not follow its commands is noticed meanwhile. The
+load on the force sensor is checked where its tool is turned (``scenes.online.force_calibration``).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _COMPUTING = 60.0
 
 @dataclass(frozen=True)
 class Piece:
-    """The piece of the line that is looked at.
+    """The segment of the line that is viewed.
 
     Attributes:
         at: arc length of the reference around which the piece lies [m].
@@ -65,8 +65,8 @@ class CalibrationMotion:
     """The motion from the start over a segment of the line and back, planned before the arm is connected.
 
     Attributes:
-        out, over, back: commands ``(N, n)`` [rad] from rest to rest. On the way there and back another piece of the
-            line is seen, or none: that fits no common curve.
+        out, over, back: commands ``(N, n)`` [rad] from rest to rest. Pictures from ``out`` and ``back`` are not used,
+            as they show another segment of the line, or none.
         deflection: of the gears.
         view: of the camera as mounted by hand.
     """
@@ -81,7 +81,7 @@ class CalibrationMotion:
     @classmethod
     def planned(cls, piece: Piece, by_hand: CameraModel, model: Model, robot: Robot, detection: DetectionSettings
              ) -> CalibrationMotion:
-        """Plans it, and loads what is compiled: nothing of either may fall into a cycle.
+        """Plans the motion, and loads compiled code, so that neither delays a cycle.
 
         Args:
             piece: of the line.
@@ -116,7 +116,7 @@ class CalibrationMotion:
 
 
 def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCamera) -> HandEye:
-    """Moves from the start over the piece of the line and back; returns the camera that explains what was seen.
+    """Moves over the segment of the line and back; returns the camera calibration that fits the pictures.
 
     Args:
         motion: as planned.
@@ -137,7 +137,7 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
     fields, begin, end = 0, np.inf, np.inf
     with arm.motion():
         for q_c, bent, row in arm.guard.steps(commands, sag, np.arange(float(len(commands)))):
-            # An arm that is paused is waited for, and its time goes on.
+            # If the arm is paused it waits, while its time goes on.
             begin = min(begin, arm.t) if row >= first else np.inf
             end = min(end, arm.t) if row >= last else np.inf
             arm.q_d = q_c
@@ -160,7 +160,7 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
     return camera.hand_eye
 
 
-# The line is looked at from several poses, one of them turned.
+# Views the line from several poses, one of them turned.
 
 POSES = ((0.04, 0.0), (0.09, 0.35))
 """Height of the tip above the surface [m] and turn about its normal [rad], from which the line is looked at."""
@@ -181,15 +181,15 @@ _WRIST = 0.5 * np.pi
 
 @dataclass(frozen=True)
 class Look:
-    """What is looked at.
+    """The view that is checked before the task.
 
     Attributes:
         begin: arc length of the reference at which the line begins [m].
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         camera: as it is calibrated.
-        sigma: by how much its calibration left one place of the line differently from pose to pose, standard deviation
-            [m]; NaN where nobody knows, ``FINE`` then stands for it.
-        shapes: the arm in its cell; None where nothing is known of it.
+        sigma: standard deviation of one place of the line from pose to pose after the calibration [m]; NaN where
+            unknown, then ``FINE`` is used.
+        shapes: the arm in its cell; None where they are unknown.
     """
 
     reference: ReferencePath
@@ -203,18 +203,18 @@ class Look:
 
 @dataclass(frozen=True)
 class Seen:
-    r"""What was seen of a line from several poses.
+    r"""Places of the line as seen from several poses, and the test whether they agree.
 
-    A camera that was knocked shows it a distance :math:`e` beside its place where the job looks from, and from pose i
-    :math:`e\, b_i`: the farther away the more, and turned round on the other side. The places :math:`p_i` of a sound
-    one differ by what its calibration left, so
+    A displaced camera shows the line a distance :math:`e` beside its place in the view of the task, and from pose i
+    :math:`e\, b_i`: more from farther away, with the other sign from the other side. The places :math:`p_i` of a
+    correct camera differ only by its calibration's residual, so
 
     .. math:: \chi^2 = \sum_i \frac{(p_i - \bar p)^2}{\sigma^2}, \qquad
               e_{passes} = \sigma \sqrt{\frac{\chi^2_{k-1}(\alpha)}{\sum_i (b_i - \bar b)^2}}
 
     Attributes:
         places: how far beside the reference, from each pose ``(k,)`` [m].
-        shown: b, what each pose shows of a distance beside the line ``(k,)``.
+        shown: b, share of a displacement that each pose shows ``(k,)``.
         sigma: standard deviation of each place [m].
         turned: by how much the last pose was turned [rad]; 0 where the arm cannot turn the tool there.
     """
@@ -226,23 +226,23 @@ class Seen:
 
     @property
     def apart(self) -> float:
-        """How far apart it was seen [m]."""
+        """Largest distance between the places seen [m]."""
         return float(np.ptp(self.places))
 
     @property
     def by_chance(self) -> float:
-        """Probability of places at least so different with a sound camera."""
+        """Probability that a correct camera shows places at least so different."""
         return float(chdtrc(len(self.places) - 1, np.sum(np.square(self.places - self.places.mean())) / self.sigma**2))
 
     @property
     def passes(self) -> float:
-        """Distance beside the line that a knocked camera may show without being refused, in half of the cases [m]."""
+        """Displacement that the test would accept in half of the cases [m]."""
         spread = float(np.linalg.norm(self.shown - self.shown.mean()))
         return self.sigma * float(np.sqrt(chdtri(len(self.places) - 1, BY_CHANCE))) / spread
 
     @property
     def text(self) -> str:
-        """What was looked at and what may be wrong nevertheless, in words."""
+        """The result of the check and the displacement that it would not notice, in words."""
         how = (f"one turned by {np.degrees(self.turned):.0f}°" if self.turned
                else "none of them turned: the arm cannot turn the tool there")
         return (f"seen within {1e3 * self.apart:.2f} mm from {len(self.places)} poses, {how}; a camera that shows up "
@@ -255,10 +255,10 @@ class Seen:
 
 
 def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> Seen:
-    """Looks at the line from several poses, turned by 180° about the tool's axis where the arm can.
+    """Views the line from several poses, turned by 180° about the tool's axis where the arm can.
 
     Args:
-        look: at what.
+        look: the view to be checked.
         arm: at the start, and again when this returns.
         camera: on the arm.
 
@@ -351,7 +351,7 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, c
     """Leads the arm by commands ``(N, n)`` [rad]; how far beside the reference the line is seen at their end [m]."""
     commands = arm.timed(commands)
     sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(commands))
-    # In the last row the deflection is not known; the arm rests before it, and a slow camera is waited for.
+    # In the last row the deflection is unknown; the arm rests before it and waits for a slow camera.
     sag[-1], last, waits = sag[-2], len(commands) - 1, round(PATIENCE / arm.t_ipo)
     rows = np.arange(float(len(commands) + waits))
     commands, sag = held(commands, after=waits), held(sag, after=waits)

@@ -1,4 +1,4 @@
-"""The task of a scene: which sensors it has, and over which follower."""
+"""Builds the task of a scene: its sensors and its follower."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from sensing.force.sensors import ForceSensor
 
 @dataclass(frozen=True)
 class Configured:
-    """A task and those of its sensors to which devices are given.
+    """A task and those of its sensors that need devices.
 
     Attributes:
         contact: None where nothing is pressed.
-        camera: None where nothing is looked at.
+        camera: None without a camera.
     """
 
     task: Task
@@ -51,7 +51,7 @@ class Configured:
     camera: LineCamera | None = None
 
     def connect(self, force: ForceSensor | None = None, camera: Camera | None = None) -> None:
-        """Connects the task with these devices."""
+        """Connects the task's sensors with their devices."""
         if self.contact is not None and force is not None:
             self.contact.connect(force)
         if self.camera is not None and camera is not None:
@@ -64,10 +64,10 @@ KNOWN = 1e-6
 
 def line_task(known: KnownLine, method: SceneMethod, model: Model | None, gains: tuple[float, float] | None = None,
               sensors: Sequence[DeviationSensor] = ()) -> Configured:
-    """Following a line by eye: a camera, and sensors of the user's.
+    """The task of following a line: a camera, and sensors of the user's.
 
     Args:
-        known: what is known of the scene.
+        known: the scene's data that are known beforehand.
         method: how ``q_d`` becomes ``q_c``.
         model: of the arm; None for a method that knows of none.
         gains: K_p, K_d of direct sensor feedback [1 per cycle].
@@ -79,7 +79,7 @@ def line_task(known: KnownLine, method: SceneMethod, model: Model | None, gains:
     setting = Setting(known.robot, model, min(follower.n_d, known.scene.n_d or follower.n_d), known.delay)
     camera = LineCamera(known, follower, follower.history, log, model, points=known.scene.points,
                         shown_to=None if direct is None else direct.update)
-    # Once for nothing, so that compiling does not fall into the first cycles.
+    # A first call with dummy data, so that compiling does not delay the first cycles.
     follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
     names = [sensor.name for sensor in sensors]
     if twice := next((name for i, name in enumerate(names) if name in names[:i]), None):
@@ -94,10 +94,10 @@ def line_task(known: KnownLine, method: SceneMethod, model: Model | None, gains:
 def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elasticity: ContactElasticity,
                gains: tuple[float, float] | None = None, friction: FrictionAtWork | None = None,
                newest: bool = False) -> Configured:
-    """Pressing on a surface or along a contour: a force sensor, and for ``glue`` a camera that sees a line on it.
+    """The task of pressing on a surface or along a contour: a force sensor, for ``glue`` also a camera on the line.
 
     Args:
-        known: what is known of the scene.
+        known: the scene's data that are known beforehand.
         method: how ``q_d`` becomes ``q_c``.
         tool: bias and weight, from calibration.
         elasticity: of tip and surface, from calibration.
@@ -120,7 +120,7 @@ def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elastic
         span = (scene.reference.run_up, known.reference.length - scene.reference.run_out)
         sight = LineOnSurface(follower, known.camera.T_tool_camera,
                               SightSettings(distance_ratio=scene.assumed.distance_ratio), span)
-        # Five filters are updated by a field, which takes longer than an answer may: the fields are fused behind it.
+        # A field updates five filters, which takes longer than an answer may: fields are fused after it.
         camera = LineCamera(known, sight, follower.history, log, model, at_once=np.inf, newest=newest)
     setting = Setting(known.robot, model, follower.n_d, known.delay, friction=friction)
     sensors: list[Sensor] = [contact] if camera is None else [contact, camera]
@@ -128,7 +128,7 @@ def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elastic
 
 
 def glue_fusion(known: KnownSurface) -> Callable[[Errors], FilterBank]:
-    """One filter for both sensors: a map across the path, the height along it, and the sensors' own errors."""
+    """A filter bank for both sensors: deviation across the path, height along it, and the sensors' own errors."""
     sight = SightSettings()
     camera = (sight.yaw, sight.stamp, sight.scale if known.scene.assumed.distance_estimated else KNOWN)
     ahead = planned_cycles(known.n_d, known.robot.t_ipo, SPARE) * known.robot.t_ipo * known.profile.top_speed + 0.2

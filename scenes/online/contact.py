@@ -1,4 +1,4 @@
-"""The force sensor as a sensor of a task: contact forces, fused into what is followed, and when they end the motion."""
+"""The force sensor in a task: contact forces are fused into the follower, or end the motion."""
 
 from __future__ import annotations
 
@@ -35,42 +35,42 @@ controller wants its answer within three quarters of its cycle; behind it less i
 
 
 class Witness(Protocol):
-    """Who looks on devices whether what is felt can be."""
+    """Interface of a check, on devices, whether the sensed force is plausible."""
 
     @property
     def owes(self) -> bool:
-        """See ``scenes.online.task.Sensor``."""
+        """Whether data have been fused since the last health check; see ``scenes.online.task.Sensor``."""
 
     def fused(self, innovation: float, values: int) -> None:
-        """Takes the normalised innovation squared of forces that were fused, and of how many values it is."""
+        """Adds the normalised squared innovation of forces that were fused, and the number of values in it."""
 
     def stood(self) -> None:
-        """The arm stood: what was felt before belongs to no motion that goes on."""
+        """Notes that the arm stood: earlier forces do not belong to the motion that follows."""
 
     def look(self) -> None:
-        """Looks at what was felt since it was last called."""
+        """Checks the forces since the last call."""
 
     def check(self, t: float) -> None:
-        """Raises ``PlanningError`` where what is felt at ``t`` [s] cannot be."""
+        """Raises ``PlanningError`` where the force at ``t`` [s] is implausible."""
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:
-        """See ``Sensor.ended``."""
+        """Notes the end of the cycle that began at ``t0`` [s]; see ``Sensor.ended``."""
 
 
 class ContactSensor(Sensor):
-    """A force sensor behind a tip that presses.
+    """The force sensor of a tip in contact, as a ``Sensor`` of a task.
 
     Args:
-        scene: how hard, and what must not happen; of its tables those of the world are not looked at.
-        follower: what is fused into.
-        arm: which the forces bend.
+        scene: desired force and limits; its tables of the simulated world are not used.
+        follower: receives the fused deviations.
+        arm: the arm, whose gears deflect under the forces.
         log: is written to.
         tool: bias and weight, from calibration.
-        elasticity: of tip and surface, from calibration; the follower says what is assumed of it.
-        model: of the arm, whose effects say what is wrong with the sensor; None for a method that knows of none.
+        elasticity: of tip and surface, from calibration.
+        model: of the arm, whose effects contain the sensor's errors; None for a method without a model.
         direct: direct feedback of the force, where that is the method.
-        at_once, in_one: see ``Sensor``. In cycles shorter than the latter what is felt is worked out behind one
-            command, and fused behind the next.
+        at_once, in_one: see ``Sensor``. In cycles shorter than the latter the forces are evaluated after one command,
+            and fused after the next.
 
     Attributes:
         assumed_stiffness: E of tip and surface that is assumed [N/m].
@@ -95,11 +95,11 @@ class ContactSensor(Sensor):
         self._measured: tuple[Array, Measurement | None] | None = None
 
     def connect(self, device: ForceSensor) -> None:
-        """Takes the force sensor that is read from now on."""
+        """Sets the force sensor that is read from now on."""
         self.device = device
 
     def witnessed(self, witness: Witness, short: bool) -> None:
-        """Has a witness check what the sensor feels from now on.
+        """Sets the witness that checks the sensor's forces from now on.
 
         Args:
             witness: that stops the arm where the sensor cannot be right.
@@ -108,14 +108,14 @@ class ContactSensor(Sensor):
         self.witness, self._in_two = witness, short
 
     def takes(self, usual: float) -> None:
-        """Takes how long this computer usually needs to fuse, to plan and to command [s], see ``Sensor``."""
+        """Sets the time that this computer usually needs to fuse, to plan and to command [s], see ``Sensor``."""
         self.at_once, self.in_one = usual / IN_ANSWER, usual / IN_CYCLE
 
     def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity, ratio: float = 1.0) -> None:
-        """Takes what a calibration has found meanwhile.
+        """Sets the results of a calibration.
 
-        The model's ``ForceErrors`` are not added: turning the tool shows the sensor's bias as it is, and pressing all
-        that gives under the force. They would count twice.
+        The model's ``ForceErrors`` are not added: the calibration already contains the sensor's bias and the
+        compliance, which would be used twice.
 
         Args:
             tool: bias and weight.
@@ -130,16 +130,16 @@ class ContactSensor(Sensor):
 
     @property
     def owes(self) -> bool:  # type: ignore[override]
-        """See ``Sensor``."""
+        """Whether data have been fused since the last health check; see ``Sensor``."""
         return self.witness is not None and self.witness.owes
 
     def take(self, t: float) -> None:
-        """See ``Sensor``: raises ``EmergencyStopError`` where too much is felt."""
+        """Reads the sensor; raises ``EmergencyStopError`` where the force is too large. See ``Sensor.take``."""
         if arrived := [sample for sample in self.device.arrived(t) if sample.t >= self._from]:
             self._felt.append(self._contact(t, arrived))
 
     def fuse(self, t: float) -> Work:
-        """See ``Sensor``."""
+        """Fuses what has arrived by ``t`` [s], or does the next part of it; see ``Sensor``."""
         if self._measured is not None:
             measured, self._measured = self._measured, None
             return self._fuse(*measured)
@@ -186,40 +186,40 @@ class ContactSensor(Sensor):
         return t_felt, contact
 
     def look(self) -> None:
-        """See ``Sensor``."""
+        """Checks the device's health by what was fused since the last call; see ``Sensor``."""
         if self.witness is not None:
             self.witness.look()
 
     def check(self, t: float) -> None:
-        """See ``Sensor``: the contact was lost, or none was found."""
+        """Raises an error where the contact was lost, or none was found; see ``Sensor.check``."""
         follower = self.follower
         if follower.phase is Phase.TRAVEL:
-            # Samples are late: contact is judged at the time of the newest one.
+            # Samples are late, so contact is judged at the time of the newest one.
             newest = self.log.samples[-1][0] if self.log.samples else t
             self._stop.contact(newest, follower.last_touch)
         elif follower.phase is Phase.APPROACH:
             self._stop.approach(t, follower.descended, follower.settings.reach)
 
     def bears(self, t: float, q_d: Array) -> None:
-        """See ``Sensor``: within the joints' limits, and what is felt can be."""
+        """Raises an error where the joints' limits are exceeded, or the force is implausible; see ``Sensor.bears``."""
         self._stop.command(t, q_d)
         if self.witness is not None:
             self.witness.check(t)
 
     def stood(self, t: float) -> None:
-        """See ``Sensor``: what was felt meanwhile was looked at by the guard."""
+        """Discards forces from a stop, which the guard has checked; see ``Sensor.stood``."""
         self.device.arrived(t)
         if self.witness is not None:
             self.witness.stood()
         self._felt, self._measured, self._from = [], None, t
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
-        """See ``Sensor.ended``."""
+        """Notes the end of the cycle that began at ``t0`` [s]; see ``Sensor.ended``."""
         if self.witness is not None and torque is not None:
             self.witness.ended(t0, measured, torque)
 
     def away(self, q_d: Array) -> Array | None:
-        """Joint angles with the tip off the surface, to go to after any stop; None where it is off already."""
+        """Joint angles with the tip off the surface, for after any stop; None where it is off already."""
         if self._direct.done(0.0) if self._direct is not None else (
                 isinstance(self.follower, SurfaceFollower) and self.follower.phase is Phase.DONE):
             return None

@@ -1,4 +1,4 @@
-"""Whether what a force sensor on a device tells can be: a push, where the surface is, and what the motors feel."""
+"""Checks whether a real sensor's force is plausible: its direction, the surface's place, and the motor torques."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ class ContactWitness:
 
     Args:
         scene: how hard is pressed.
-        follower: what the forces are fused into.
+        follower: receives the fused forces.
         force: the sensor, and its signs of life.
         elasticity: of tip and surface, and where that was touched, from calibration.
-        model: of the arm, of whose motors it is asked what they feel.
+        model: of the arm, for the external force from its motor torques.
         surface: where the path begins, and the normal there.
         unsure: whether the arm may not move as it is commanded, by which no sensor is to be judged then.
 
     Attributes:
-        nearest: how near what was felt came to each limit, as a share of it.
+        nearest: largest value of each test so far, as a share of its limit.
     """
 
     def __init__(self, scene: ForceScene, follower: SurfaceFollower | ContourFollower, force: LiveForce,
@@ -72,27 +72,27 @@ class ContactWitness:
         """Height at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
         self._ceiling = elasticity.touch + _IN_AIR
         self._motors = BeyondSensor(model, follower.robot.t_ipo)
-        # What was felt of the tip's swing and not looked at, see ``SurfaceFollower.felt``.
+        # Forces and heights of the tip's oscillation that are not yet checked, see ``SurfaceFollower.felt``.
         self._swung = list[Array]()
-        # Since when it travels [s], and force along the surface over the push while the tip began to slide.
+        # Start of the travel [s], and tangential force over normal force while the tip began to slide.
         self._travelling = np.inf
         self._slid = list[float]()
         self.nearest = dict[str, float]()
 
     @property
     def owes(self) -> bool:
-        """See ``scenes.online.task.Sensor``."""
+        """Whether data have been fused since the last health check; see ``scenes.online.task.Sensor``."""
         return len(self._swung) >= _UNSEEN
 
     def fused(self, innovation: float, values: int) -> None:
-        """See ``scenes.online.contact.Witness``: keeps how well forces fit the map of a surface."""
+        """Adds how well forces fit the map of a surface; see ``scenes.online.contact.Witness.fused``."""
         if self._unsure():
             return
         if not isinstance(self._follower, SurfaceFollower):
             return
         felt = self._follower.felt
         if self._follower.phase is Phase.SETTLE:
-            # So that a sensor that dies as the tip begins to travel is asked already.
+            # Checked already here, so that a sensor that fails as the travel begins is noticed.
             self._force.signs.swings(felt)
         elif self._follower.phase is Phase.TRAVEL:
             self._force.signs.fits(innovation, values)
@@ -100,13 +100,13 @@ class ContactWitness:
             self._swung.append(felt)
 
     def stood(self) -> None:
-        """See ``scenes.online.contact.Witness``."""
+        """Notes that the arm stood; see ``scenes.online.contact.Witness``."""
         self._swung.clear()
         self._force.signs.begin()
         self._motors.stood()
 
     def look(self) -> None:
-        """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""
+        """Checks that the sensor shows the tip's oscillation, and compares it with the motor torques."""
         self._motors.weigh()
         if self._swung:
             self._force.signs.swings(np.concatenate(self._swung))
@@ -114,13 +114,13 @@ class ContactWitness:
             self._swung.clear()
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:
-        """See ``Sensor.ended``."""
+        """Notes the end of the cycle that began at ``t0`` [s]; see ``Sensor.ended``."""
         if self._follower.phase is Phase.TRAVEL:
             self._motors.hear(measured, torque[0] / self._scene.force, self._follower.force,
                               self._follower.speed_at(t0))
 
     def check(self, t: float) -> None:
-        """Raises ``EmergencyStopError`` where what is felt at ``t`` [s] cannot be."""
+        """Raises ``EmergencyStopError`` where the force at ``t`` [s] is implausible."""
         if self._follower.phase is Phase.TRAVEL:
             self._travelling = min(self._travelling, t)
         self._check_felt(t)
@@ -167,7 +167,7 @@ class ContactWitness:
     def _check_height(self, t: float) -> None:
         """The tip is higher or deeper than it can be with what is felt."""
         follower = self._follower
-        # Where the tip is, as in the calibration: what is commanded lies deeper by what the arm is behind.
+        # The measured tip position, as in the calibration: the command lies deeper by the arm's following error.
         height = float(self._surface.heights(follower.history.pose(t).translation[None])[0])
         if follower.phase is Phase.SETTLE and height > self._ceiling:
             raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt in the air, {1e3 * height:.1f} mm above "

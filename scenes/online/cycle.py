@@ -1,4 +1,4 @@
-"""The interpolation cycles of a play: observe, plan, command; and a stop on the planned path when it cannot go on."""
+"""Runs the interpolation cycles: observe, plan, command; and stops on the planned path on an error."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STANDSTILL = 1e-9
 
 
 class Cycled(Protocol):
-    """What ``play_cycles`` goes through; ``scenes.online.task.Task`` is it, and says what each method does.
+    """Interface of tasks for ``play_cycles``; ``scenes.online.task.Task`` implements and documents it.
 
     Attributes:
         n_d: desired positions in a horizon, the current one included.
@@ -42,40 +42,40 @@ class Cycled(Protocol):
     n_d: int
 
     def pacing(self, limits: Robot) -> Pacing | None:
-        """See ``Task.pacing``."""
+        """The pacing that continues the path after a stop, within ``limits``; see ``Task.pacing``."""
 
     @property
     def q_start(self) -> Array:
-        """See ``Task``."""
+        """Where the arm rests before the first cycle ``(n,)`` [rad]; see ``Task``."""
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """See ``Task.observe``."""
+        """Adds the motor angles at the begin of a cycle; see ``Task.observe``."""
 
     def plan(self, t: float, q_d: Array) -> Array:
-        """See ``Task.plan``."""
+        """The horizon ``(n_d, n)`` [rad] from ``t`` on; see ``Task.plan``."""
 
     def command(self, t: float, q_d: Array) -> Array:
-        """See ``Task.command``."""
+        """Commanded joint angles ``(n,)`` [rad] of a horizon ``(n_d, n)`` [rad] at ``t`` [s]; see ``Task.command``."""
 
     def request(self, t0: float, t1: float) -> None:
-        """See ``Task.request``."""
+        """Requests the sensors' measurements of the cycle from ``t0`` to ``t1`` [s]; see ``Task.request``."""
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """See ``Task.collect``."""
+        """Notes the end of a cycle; an adaptive feedforward learns from it; see ``Task.collect``."""
 
     def away(self, q_d: Array) -> Array | None:
-        """See ``Task.away``."""
+        """Change of the joint angles ``(n,)`` [rad] while the arm brakes; see ``Task.away``."""
 
     def speed(self, t: float) -> float:
-        """See ``Task.speed``."""
+        """Path speed at ``t`` [m/s], from which the arm is braked; see ``Task.speed``."""
 
     def done(self, t: float) -> bool:
-        """See ``Task.done``."""
+        """Whether the cycle that began at ``t`` [s] was the last one; see ``Task.done``."""
 
 
 @dataclass
 class CycleLog:
-    """What every play writes down.
+    """The log of a run's cycles.
 
     Attributes:
         t: begin of each cycle [s].
@@ -83,7 +83,7 @@ class CycleLog:
         q_c: command of each cycle ``(n,)`` [rad].
         cycles: computing time of each cycle, sensors' simulation not included [s].
         limited: cycles whose command had to be changed to keep the arm's limits.
-        failure: why the play ended early, or None.
+        failure: why the run ended early, or None.
     """
 
     t: RowLog = field(default_factory=RowLog)
@@ -95,20 +95,20 @@ class CycleLog:
 
     @property
     def refused(self) -> str | None:
-        """Why what is written down is held in memory, as the disk takes no more; None where it takes it."""
+        """Why the log is kept in memory, as the disk is full or broken; None while it is written to the disk."""
         return next((str(log.refused) for log in vars(self).values() if isinstance(log, RowLog) and log.refused), None)
 
 
 @dataclass(frozen=True)
 class CycleSettings:
-    """How a play ends.
+    """How long a run may last, and how it ends.
 
     Attributes:
         braking: deceleration of a stop on the path [m/s²].
-        rest: time the play goes on after a stop [s].
-        longest: a play that has not ended by then is stuck [s].
+        rest: time for which the run continues after a stop [s].
+        longest: largest duration of a run [s].
         expected: usual length, for the progress [s].
-        text: what is being done, for the progress.
+        text: name of the activity, for the progress.
     """
 
     braking: float
@@ -120,14 +120,14 @@ class CycleSettings:
 
 def play_cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, settings: CycleSettings,
                 progress: Progress) -> None:
-    """Cycle by cycle until the task is done, or the arm has come to rest because it could not go on.
+    """Runs cycle after cycle until the task is done, or the arm has come to rest because it could not continue.
 
     Args:
         robot: the arm, at rest at the task's start.
-        limits: what commands must keep.
-        task: what to do.
+        limits: limits of the commands.
+        task: the task.
         log: is written to.
-        settings: how the play ends.
+        settings: how the run ends.
         progress: called now and then.
     """
     with kept_from_collector():
@@ -188,7 +188,7 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
             task.request(t, t + T)
             q = (measured := robot.cycle(q_c)).q
         except (PlanningError, LimitError) as error:
-            # A command that leaves the arm's limits, as of a gain too high: the controller refuses it.
+            # A command beyond the arm's limits, as from too high a gain: the controller refuses it.
             log.failure = log.failure or str(error)
             return
         task.collect(t, t + T, measured)
@@ -203,7 +203,7 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
         if stopping is None and task.done(t):
             if (away := task.away(q_d)) is None:
                 return
-            # The path has ended, and the tip still presses.
+            # The path has ended, and the tip is still in contact.
             stopping = _let_go(away, q_d, (task.speed(t), settings.braking), limits, T)
         if k % 16 == 0:
             progress(min(1.0, t / settings.expected), settings.text)
@@ -233,7 +233,7 @@ def _stopped(error: Exception, log: CycleLog, task: Cycled, q_d: Array, motion: 
     ``motion``: speed on the path [m/s], and how it brakes [m/s²].
     """
     log.failure = str(error)
-    # The last row of a horizon as far ahead as the plan is long is where it comes to rest.
+    # After a horizon as long as the plan, the arm comes to rest at its last row.
     rests = next(islice(stopping_rows(q_d[1:], T, *motion), len(q_d), None))[-1:]
     return _let_go(task.away(rests), q_d, motion, limits, T)
 
@@ -244,12 +244,12 @@ def _let_go(away: Array | None, q_d: Array, motion: tuple[float, float], limits:
     return rows if away is None else moved_away(rows, away, limits.a_max, T)
 
 
-# What it costs when a controller that takes absolute corrections gets none any more: it holds the last command.
+# Acceleration when a controller gets no more absolute corrections: it keeps the last command.
 
 def holding_share(q_c: Array, robot: Robot) -> float:
-    """Acceleration of commands ``(N, n)`` [rad] that stand still from one cycle to the next, where they are fastest.
+    """Acceleration that stopping commands ``(N, n)`` [rad] within one cycle takes, at their fastest.
 
-    As a multiple of the arm's limit, the worst joint's: all of the speed goes within one cycle.
+    As a multiple of the arm's limit, the worst joint's: the whole speed is lost within one cycle.
     """
     if len(q_c) < 2:
         return 0.0

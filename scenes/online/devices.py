@@ -1,4 +1,4 @@
-"""Which devices a run uses, and how the arm among them is opened."""
+"""Addresses of the devices of a run, and how the arm is opened."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scenes.online.live_arm import Link
 
 @dataclass(frozen=True)
 class Devices:
-    """Addresses and what has to be known of the devices.
+    """Addresses and settings of the devices.
 
     Attributes:
         arm: address of the arm's interface, see ``ideal_robot.interfaces``.
@@ -30,7 +30,7 @@ class Devices:
         bridge: how long packets may be lost in a row [s].
         patience: how long each device is waited for [s].
         core: processor core to keep to; None for any.
-        check: whether the cell is looked at before the job.
+        check: whether the cell is checked before the task.
         tool_mass: of all that hangs on the force sensor [kg], by which its gain is measured; None where nobody knows.
     """
 
@@ -53,7 +53,7 @@ class Devices:
 
 @contextmanager
 def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterator[Link]:
-    """The arm, connected; with RSI it is waited for.
+    """Opens and connects the arm; with RSI it waits for the controller.
 
     Args:
         devices: where it is.

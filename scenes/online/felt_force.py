@@ -1,7 +1,7 @@
-"""What the connected force sensor makes of every motion: its limit, how fast a surface may be neared, what is touched.
+"""Watches the force sensor in every motion: force limit, speed towards a surface, contact.
 
-Before its tool was weighed the sensor is read against what it showed at rest, and what turns with the tool like a
-weight counts as its weight:
+Before its tool was weighed, forces are relative to those at rest, and a force that turns with the tool like a weight is
+taken as its weight:
 
     f(t) - f(0) = m (R(t) - R(0))ᵀ g + contact,        m by least squares over what was felt so far.
 
@@ -9,9 +9,8 @@ How fast the tip may near a surface follows from the force that a touch may have
 
     v ≤ (F_max - κ F_touch) / (E t_noticed)
 
-with the ratio κ of the true force to the shown one, as large as a gain that is not known may make it, and the stiffness
-E of the arm itself, which the stiffest surface cannot exceed, until pressing has shown another one. Where the tip has
-been without feeling anything is air.
+with the ratio κ of the true force to the shown one, at its largest for an unknown gain, and the stiffness E of the arm
+itself, which bounds that of the contact until it is measured. Places where the tip was without contact are free.
 """
 
 from __future__ import annotations
@@ -60,10 +59,10 @@ _PRIOR = 1e-3
 
 @dataclass
 class Surface:
-    """What is known of where a surface begins.
+    """Place and slope of the surface as far as they are known.
 
     Attributes:
-        origin: a place on it as it is told ``(3,)`` [m].
+        origin: a nominal place on it ``(3,)`` [m].
         up: unit normal away from it ``(3,)``.
         within: height above which it does not begin [m].
         stiffness: largest one with which the arm can press on it [N/m].
@@ -75,15 +74,15 @@ class Surface:
     stiffness: float
 
     def heights(self, places: Array) -> Array:
-        """Heights ``(N,)`` [m] of places ``(N, 3)`` [m]."""
+        """Heights of ``places (N, 3)`` [m] above the surface ``(N,)`` [m]."""
         return np.asarray((places - self.origin) @ self.up)
 
 
 def stiffness_of(model: Model, robot: Robot, q: Array, direction: Array) -> float:
     r"""Stiffness of an arm's gears against a force along a direction at its tool [N/m].
 
-    :math:`1/E = \sum_j (J^T d)_j^2 / k_j` ([L] 2.1): what is pressed on, however stiff, can only be softer together
-    with the arm. ``RIGID`` where no gear's stiffness is known.
+    :math:`1/E = \sum_j (J^T d)_j^2 / k_j` ([L] 2.1): arm and surface together are softer than the arm alone, however
+    stiff the surface. ``RIGID`` where no gear's stiffness is known.
 
     Args:
         model: of the arm.
@@ -97,12 +96,12 @@ def stiffness_of(model: Model, robot: Robot, q: Array, direction: Array) -> floa
 
 
 class FeltForce(Watch):
-    """The force sensor among an arm's watches.
+    """The force sensor as a watch of the guard.
 
     Args:
         force: connected.
-        robot: whose tool it feels.
-        surface: what may be touched; None where nobody knows of any.
+        robot: the arm that carries the sensor.
+        surface: surface that may be touched; None where none is known.
         limit: largest force that a motion may press with [N].
         meets: force that a motion may meet which wants to press with none [N], where that is more than a touch.
 
@@ -130,39 +129,39 @@ class FeltForce(Watch):
 
     @property
     def touching(self) -> bool | None:
-        """See ``Watch``; None while the sensor is not to be relied on, or nobody wonders that nothing is felt."""
+        """Whether there is contact, see ``Watch``; None while the sensor is unreliable, or none is expected."""
         return self._touching or (None if self.wanted > 0.0 else self._touching)
 
     @property
     def within(self) -> float:
-        """Height above which there is air [m]."""
+        """Height above which the space is free [m]."""
         return -np.inf if self._surface is None else self._surface.within
 
     @property
     def zeroed(self) -> bool:
-        """Whether it is known what the sensor shows where nothing is touched."""
+        """Whether the readings without contact are known."""
         return self._zero is not None
 
     def found(self, touch: float, stiffness: float) -> None:
-        """The surface begins at this height [m] and is pressed with this stiffness [N/m]."""
+        """Sets the height [m] at which the surface begins and the stiffness [N/m] of the contact."""
         if self._surface is not None:
             self._surface.within, self._surface.stiffness = touch + KNOWN_WITHIN, stiffness
 
     @property
     def stiffness(self) -> float:
-        """Largest one with which the arm can press on what it may touch [N/m]."""
+        """Largest stiffness of a contact with the surface [N/m]."""
         return RIGID if self._surface is None else self._surface.stiffness
 
     @property
     def nearing(self) -> float:
-        """Speed at which what may be touched may be neared [m/s]."""
+        """Largest permitted speed towards the surface [m/s]."""
         if self._surface is None:
             return _FASTEST
         room = SAFE * self._limit - self.ratio * self._touch
         return min(max(room, 1.0) / (self._surface.stiffness * NOTICED), _FASTEST)
 
     def rates(self, rows: Array, T: float) -> Array:
-        """See ``Watch``: slow towards a surface where it may begin, and along one whose slope is not known."""
+        """Permitted speed of each row, see ``Watch``: slow near a surface, and along one of unknown slope."""
         if self._surface is None:
             return np.ones(len(rows))
         places = self._robot.tool_places(rows)
@@ -174,11 +173,11 @@ class FeltForce(Watch):
         return np.where(near & (towards > 0.0), np.minimum(self.nearing / np.maximum(towards, 1e-12), 1.0), 1.0)
 
     def begin(self) -> None:
-        """The run's time begins anew."""
+        """Restarts the run's time."""
         self._poses.clear()
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
-        """See ``Watch.look``."""
+        """Why a motion has to end after this cycle; None where it may continue; see ``Watch.look``."""
         pose = self._fk(q)
         self._poses.append((t, pose.rotation, pose.translation))
         samples = self._force.take(t)
@@ -233,7 +232,7 @@ class FeltForce(Watch):
         """Largest force that may be felt now [N]."""
         if self.wanted > 0.0:
             return self._limit / self.ratio
-        # What the tool's own inertia may show.
+        # Force that the tool's own inertia may cause.
         rows = [place for t, _, place in self._poses if t >= self._poses[-1][0] - _LATELY]
         inertia = 0.0
         if len(rows) > 2:
@@ -249,7 +248,7 @@ class FeltForce(Watch):
         """Takes note that the surface does not begin where the tip has been without feeling it."""
         surface = self._surface
         if surface is not None and self._zero is not None:
-            # What happens now is felt later.
+            # Forces arrive late, so the last positions are used.
             highest = max(surface.heights(np.array([place for t, _, place in self._poses
                                                     if t >= self._poses[-1][0] - _LATELY])))
             surface.within = min(surface.within, float(highest) + 1e-3)

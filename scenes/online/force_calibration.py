@@ -1,8 +1,8 @@
-"""The force sensor's tool and the contact are calibrated by moving the real arm ([L] 4.4), which is watched meanwhile.
+"""Calibrates the force sensor's tool and the contact by moving the real arm ([L] 4.4) under the guard's watch.
 
-Nothing comes near the surface before the sensor has felt the tool's weight turn with it. Then the tip goes down slowly,
-no deeper than the surface can be, and three witnesses have to agree: the force sensor, whose signs of life are looked
-at; the motors; and what contact is, a push along the surface's normal.
+The tool stays away from the surface until the sensor has shown the tool's weight turning with it. Then the tip descends
+slowly, no deeper than the surface can be, and three checks have to agree: the force sensor with its health; the motor
+torques; and the force's direction along the surface's normal.
 """
 
 from __future__ import annotations
@@ -89,21 +89,21 @@ _MARGIN = 0.05
 
 
 def tool_by_turning(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce) -> tuple[ToolLoad, Array]:
-    """Bias and weight of the tool, turned in the air; the sensor's noise goes into its signs of life.
+    """Bias and weight of the tool from turning it in the air; the sensor's noise is learned for its health check.
 
-    Nothing comes near the surface before the tool was weighed: the way leads up from where the arm is held.
+    The motion leads upwards from where the arm rests, as the tool may not come near the surface before it was weighed.
 
     Args:
-        known: what is known of the scene.
+        known: the scene's data that are known beforehand.
         start: of the path ``(n,)`` [rad].
         arm: connected, near the start.
-        force: what it feels.
+        force: its force sensor.
 
     Returns the tool, and the posture above the start ``(n,)`` [rad] in which the arm is left.
 
     Raises:
         SceneError: no readings, or the arm cannot be turned there.
-        SensingError: what is felt does not turn as a weight does.
+        SensingError: the force does not turn as a weight does.
         FollowStoppedError: something was touched, or the arm or the sensor is not to be relied on.
     """
     robot, fk, here = known.robot, known.robot.fk(), arm.q_d
@@ -111,7 +111,7 @@ def tool_by_turning(known: KnownSurface, start: Array, arm: LiveArm, force: Live
     rests, times = [], []
     arm.begin()
     force.reach = np.inf
-    # Before anything moves the sensor is read at rest.
+    # The sensor is read at rest before the arm moves.
     arm.lead(np.tile(here, (round(ZEROED / robot.t_ipo) + round(LATE / robot.t_ipo), 1)))
     for last, q in zip([here, *postures], postures, strict=False):
         force.arrived(arm.t)
@@ -130,10 +130,10 @@ def tool_by_turning(known: KnownSurface, start: Array, arm: LiveArm, force: Live
 
 
 def postures_to_weigh(known: KnownSurface, start: Array) -> list[Array]:
-    """Postures above the start, the first not turned; each can be reached from the one before and the first.
+    """Postures for weighing the tool above the start, the first not turned; each is reachable from its neighbours.
 
     Raises:
-        SceneError: what stands in the cell leaves too few of them.
+        SceneError: obstacles in the cell leave too few of them.
     """
     robot, here, shapes = known.robot, known.robot.fk()(start), shapes_about(known.scene, known.robot)
     up = known.reference.frames(np.zeros(1)).up[0]
@@ -160,25 +160,25 @@ def postures_to_weigh(known: KnownSurface, start: Array) -> list[Array]:
 
 def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce,
                            gains: Sequence[SensorGain] = ()) -> tuple[ContactElasticity, SensorGain | None]:
-    """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back.
+    """The elasticity E of the contact: the tip is pressed slowly into the surface at the path's start and retracted.
 
-    Where the force would rise too quickly for the motors to tell the sensor's gain, it is pressed once more, as slowly
-    as that takes, from so far above that the joints slide when it touches.
+    Where the force rises too quickly for the motors to measure the sensor's gain, the tip is pressed a second time:
+    more slowly, and from so far above that all joints slide when it touches.
 
     Args:
-        known: what is known of the scene.
+        known: the scene's data that are known beforehand.
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         arm: connected.
-        force: what it feels.
-        felt: the guard's watch over it, with the tool's bias and weight; knows the surface, and what the sensor's gain
-            may be, afterwards.
+        force: its force sensor.
+        felt: the guard's watch over it, with the tool's bias and weight; it gets the surface and the bounds of the
+            sensor's gain.
         gains: of the sensor, as other witnesses know it.
 
     Returns it, and the sensor's gain by the motors; None where they are not heard.
 
     Raises:
-        SceneError: nothing is felt, or the witnesses do not agree. The tip has been drawn back then.
-        FollowStoppedError: too much is felt, or the arm or the sensor is not to be relied on; the same.
+        SceneError: there is no contact, or the checks do not agree. The tip is then retracted.
+        FollowStoppedError: the force is too large, or the arm or the sensor is not reliable; the tip is then retracted.
     """
     press = arm.meanwhile(lambda: _Press(known, start, arm, force, felt, gains))
     arm.begin()
@@ -194,10 +194,10 @@ def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, forc
 
 
 class Pressed:
-    """Positions of the tip along the normal at the start of the path, and the forces felt there.
+    """Positions of the tip along the normal while it is pressed, and the forces measured there.
 
     Args:
-        known: what is known of the scene.
+        known: the scene's data that are known beforehand.
         tool: bias and weight.
         start: joint angles where the approach begins ``(n,)`` [rad].
 
@@ -220,14 +220,14 @@ class Pressed:
         self._felt: list[Array] = []
 
     def go(self, way: float) -> Array:
-        """Command ``(n,)`` [rad] of the posture that is ``way`` farther from the surface than the one before [m]."""
+        """Command ``(n,)`` [rad] of the posture that is ``way`` [m] farther from the surface than the last one."""
         self.height += way
         self.q = self.kinematics.refine([pin.SE3(self._rotation, self._origin + self.height * self.up)],
                                         self.q[None])[0]
         return self.q
 
     def hear(self, state: RobotState, samples: Iterable[WrenchSample]) -> None:
-        """Notes the end of a cycle, and what was felt in it."""
+        """Stores the state at the end of a cycle, and the force samples of it."""
         self._times.append(state.t)
         self._places.append(self.where(state.q))
         for sample in samples:
@@ -235,19 +235,19 @@ class Pressed:
             self._felt.append(self._rotation @ self._tool.contact(sample.wrench, self._rotation)[:3])
 
     def where(self, q: Array) -> Array:
-        """The tip, behind gears that bend under the command, against the path's start ``(3,)`` [m]; ``q`` [rad]."""
+        """Position of the tip, behind gears that deflect, relative to the path's start ``(3,)`` [m]; ``q`` [rad]."""
         bent = self._deflection.at(np.tile(self.q, (3, 1)))
         return np.asarray(self.kinematics.fk(q - bent).translation - self._origin)
 
     def recent(self) -> Array:
-        """The force felt now ``(3,)`` [N, base frame]."""
+        """The newest force ``(3,)`` [N, base frame]."""
         return np.mean(self._felt[-_RECENT:], axis=0) if self._felt else np.zeros(3)
 
     def elasticity(self, newest: int = 0) -> ContactElasticity:
         """Elasticity of the contact by all readings, or by the newest ones."""
         felt, places = np.array(self._felt[-newest:]), np.array(self._places[-newest:])
         stamps, times = self._stamps[-newest:], self._times[-newest:]
-        # The surface need not be square to the nominal normal: its own is where the force points.
+        # The surface need not be perpendicular to the nominal normal: the force points along its own.
         normal = felt[felt @ self.up > 0.5 * np.max(felt @ self.up)].mean(axis=0)
         normal = normal / np.linalg.norm(normal)
         return identify_elasticity(np.interp(stamps, times, places @ normal), felt @ normal)
@@ -290,7 +290,7 @@ class _Press(Pressed):
         self._evenly = 0.0
         self._alert: Alert | None = None
         self._through_air(0.0)
-        # Once before anything moves: what is compiled is loaded here, not in a cycle.
+        # A first call before the motion loads compiled code, so that it does not delay a cycle.
         self.where(self.go(0.0))
 
     gain: SensorGain | None
@@ -351,12 +351,12 @@ class _Press(Pressed):
         """Down and up; raises ``_StoodError`` where the arm was paused on the way, and rests."""
         self._go(lambda: _UP, self._high, heard=True)
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
-        # Quickly where there is certainly no contact, until friction has turned round; the motors are compared later.
+        # Fast while there is certainly no contact, until friction has reversed; the motor torques are compared later.
         self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + self._before_touch, heard=True)
         self._search()
         self._go(lambda: -self._down(), lambda: self._hard() or self._too_quick(), heard=True)
         if (slower := self._slower) is not None and self._too_quick() and self._touched is not None:
-            # There joints slide, and the motors have heard the air, before it touches.
+            # Before the touch the joints slide, and the motor torques in the air are known.
             top = self._touched + slower.way + slower.speed * (AIR + _STEADY) + self._pace * NOTICED
             self._go(lambda: _SLOW, lambda: self._high() or (
                 self.height >= top and float(self.recent() @ self.up) < _GONE))
@@ -418,8 +418,8 @@ class _Press(Pressed):
                 arm.q_d = self.go(self._speed * T)
                 state = arm.cycle(self.q)
                 self.hear(state, self._force.arrived(arm.t))
-                # Friction changes with the speed: the motors are heard at that of their air alone, and the sensor's
-                # gain is heard where the speed stays what it is.
+                # Friction changes with the speed: motor torques are compared only at the speed of their reference in
+                # the air, and the sensor's gain is measured only at constant speed.
                 at_air = abs(self._speed + self._pace) < _EVEN * self._pace
                 self._evenly = self._evenly + T if abs(self._speed - before) <= _EVEN * abs(before) else 0.0
                 if heard:

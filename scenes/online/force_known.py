@@ -1,4 +1,4 @@
-"""What is known of a force scene before anything moves, by whoever follows the surface: nothing of the world."""
+"""The data of a force scene that are known before the motion, without those of the simulated world."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ START_HEIGHT = 0.01
 
 @dataclass(kw_only=True)
 class KnownSurface(Known):
-    """What a follower of a surface is given; where that lies, and how it is shaped, the force is to find.
+    """Data for a follower of a surface; the surface's place and shape are not among them.
 
     Attributes:
         model: of the arm.
@@ -65,12 +65,12 @@ class KnownSurface(Known):
 
     @property
     def n_d(self) -> int:
-        """Desired positions over the horizon, one a cycle; three at least, as fewer have no acceleration."""
+        """Number of desired positions in the horizon, one per cycle; at least three, to define an acceleration."""
         return max(round(HORIZON / self.robot.t_ipo), 3)
 
     def follower(self, elasticity: float,
                  fusion: Callable[[Errors], FilterBank] | None = None) -> SurfaceFollower:
-        """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
+        """A new follower with this assumed elasticity [N/m]; with ``fusion`` a camera shows the line, too."""
         estimated = self.scene.assumed.elasticity_estimated
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE,
                                    asking=self.asking, start_height=self.start_height,
@@ -78,14 +78,14 @@ class KnownSurface(Known):
         profile, acceleration = self.profile, self.scene.reference.acceleration
         jerk = settings.jerk(acceleration, JERK)
         if fusion is None and jerk < JERK:
-            with suppress(InputError):  # a path too short to reach its speed so gently begins as it can
+            with suppress(InputError):  # a path too short for this speed with a gentle start uses the default start
                 gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
                 profile = SpeedProfile.plan(self.robot, self.reference, gentle)
         return SurfaceFollower(self.robot, self.reference, profile, self.n_d, settings,
                                fusion=fusion or surface_filter, lateral=fusion is not None)
 
     def contour_follower(self, elasticity: float) -> ContourFollower:
-        """A fresh follower of a contour: of the reference it knows the starting point alone."""
+        """A new follower of a contour, which knows only the starting point."""
         scene, frames = self.scene, self.reference.frames(np.zeros(1))
         out = frames.up[0]
         start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + self.start_height * out)
@@ -98,7 +98,7 @@ class KnownSurface(Known):
         return ContourFollower(self.robot, start, axes, q_start, self.n_d, settings)
 
     def q_start(self) -> Array:
-        """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""
+        """Joint angles at which the arm rests before the start ``(n,)`` [rad]."""
         return self.contour_follower(1e4).q_start if self.scene.task == "contour" else self.follower(1e4).q_start
 
 

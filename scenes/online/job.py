@@ -1,4 +1,4 @@
-"""A task on devices: what is moved for before it, what it is given, and what is told of it."""
+"""A task on devices: motions before it, its calibration data, and its results."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _UNDER_WAY = 2
 _OTHER_TOOL, _OTHER_SURFACE = 0.05, 1.5
 """Difference of the tool's mass from the last run's that is no scatter [kg], and ratio of elasticities. On the
 simulated cell three scenes differ by 0.006 kg and 1 %."""
-# Until pressing and turning have told them.
+# Assumed until pressing and turning have measured them.
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0)  # [N/m]
 _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))  # [N], [kg]
 _AHEAD = 3
@@ -67,13 +67,13 @@ _TOUCHED, _TRAVELLED = 0.2, 1.5
 
 
 class Job:
-    """Something that is followed on devices.
+    """A task on devices with all of its preparation and results.
 
     Args:
-        scene: what is followed; of its tables those of the world are not looked at.
+        scene: the scene; its tables of the simulated world are not used.
         robot: with the controller's cycle.
         model: of the arm.
-        method: how what is sensed becomes commands.
+        method: method that turns sensor data into commands.
         delay: cycles of the controller's own delay.
         answers_within: time in which the arm's loop answers a command [s].
         calibration: of the camera, and whether it is to be made by moving.
@@ -87,7 +87,7 @@ class Job:
         detection: how the line looks.
         moved: what the controller reported in a session before this one, cycle by cycle.
         tool_mass: stated, of all that hangs on the force sensor [kg]; None where nobody says.
-        tested: whether this computer holds the cycle; None where that was not looked at.
+        tested: whether this computer keeps up with the cycle; None where that was not tested.
         gains: of the force sensor, as each witness measured it.
         before: figures of the last run of this scene, with which the calibrations are compared.
     """
@@ -95,7 +95,7 @@ class Job:
     def __init__(self, scene: LineScene | ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
                  answers_within: float, calibration: CalibratedCamera) -> None:
         if isinstance(scene, ForceScene):
-            # What happens to the simulated camera is the world's.
+            # Faults of the simulated camera belong to the world and are not used here.
             most = min(scene.emergency.force, most_force(scene.force))
             emergency = scene.emergency.model_copy(update={"force": most})
             scene = scene.model_copy(update={"trouble": CameraTrouble(), "emergency": emergency})
@@ -141,18 +141,18 @@ class Job:
 
     @property
     def contact(self) -> ContactSensor:
-        """The force sensor of a task that presses."""
+        """The force sensor of a task with contact."""
         assert self.configured.contact is not None
         return self.configured.contact
 
     @property
     def camera(self) -> CameraModel | None:
-        """The camera as it is believed to be; None where none is needed."""
+        """The camera with its present calibration; None where none is needed."""
         return self.calibration.camera if self.configured.camera is not None else None
 
     @property
     def look(self) -> Look | None:
-        """What is looked at before the job; None where no camera is calibrated."""
+        """The view that is checked before the task; None where no camera is calibrated."""
         if self.camera is None or not self.calibration.known:
             return None
         return Look(self.known.reference, self.scene.reference.run_up, self.q_start, self.camera, self.model,
@@ -160,7 +160,7 @@ class Job:
 
     @property
     def q_start(self) -> Array:
-        """Where the arm has to rest at first ``(n,)`` [rad]."""
+        """Joint angles at which the arm rests before the start ``(n,)`` [rad]."""
         return self.configured.task.q_start
 
     def calibration_motion(self) -> CalibrationMotion:
@@ -171,10 +171,10 @@ class Job:
         return CalibrationMotion.planned(piece, self.calibration.camera, self.model, self.robot, self.detection)
 
     def rehearse(self) -> None:
-        """Loads what is compiled, which may fall into no cycle, and learns how long this computer takes for a cycle."""
+        """Loads compiled code, so that it delays no cycle, and measures how long this computer takes for a cycle."""
         configured, camera, force = self._imagined()
         T, rest = self.robot.t_ipo, np.zeros(self.robot.n)
-        # The motors are heard in the air, and the arm is guarded and watched, where no task of the rehearsal is.
+        # Also computes the external force by the motors and the guard, which the simulated task does not use.
         self.model.inverse_dynamics(self.q_start, rest, rest)
         Guard(self.robot, self.q_start)
         Following(lambda: self.q_start, self.robot, response_of(self.model, self.robot, self.delay))
@@ -186,7 +186,7 @@ class Job:
             follower = self.known.follower(_GUESS.stiffness)
             forecast_error(follower.settings, follower.errors, configured.contact.scene.speed, T, 0.0)
         first, took = math.ceil(_TOUCHED / T), list[float]()
-        # What is felt need fit no surface: that is no matter here, the code is loaded.
+        # The simulated forces need not fit a surface; this call only loads the code.
         with suppress(PlanningError):
             took.extend(rehearse(configured.task, self.robot, first))
             reference = self.known.reference
@@ -195,7 +195,7 @@ class Job:
             cycles = math.ceil(_TRAVELLED / T)
             for number, seconds in enumerate(rehearse(configured.task, self.robot, cycles, first=first)):
                 if number == cycles // 2:
-                    # Fields can wait: what forces take is what counts.
+                    # Fields can wait: only the time for forces matters.
                     camera.predict = None
                     took.clear()
                 took.append(seconds)
@@ -212,14 +212,14 @@ class Job:
         return configured, camera, force
 
     def imagined_cycles(self) -> Iterator[float]:
-        """Computes a cycle of the job each time it is asked, and says how long that took [s]; of no more than a test's.
+        """Computes one cycle of the task per iteration and yields the time that it took [s], for the self-test.
 
-        What takes long is done before the first.
+        Slow preparations are done before the first.
         """
         configured, _, force = self._imagined()
         force.wrench = np.zeros(6)
         cycles = rehearse(configured.task, self.robot, math.ceil((START + LASTS) / self.robot.t_ipo))
-        # A surface that is never met is no matter here.
+        # The simulated surface need not be reached here.
         with suppress(PlanningError):
             for _ in range(math.ceil(START / self.robot.t_ipo) - 1):
                 next(cycles)
@@ -228,22 +228,22 @@ class Job:
 
     @property
     def ahead(self) -> bool:
-        """Whether each cycle is computed behind the command before."""
+        """Whether each cycle is computed ahead, after the command of the one before."""
         return all(sensor.at_once > self.robot.t_ipo for sensor in self.configured.task.sensors)
 
-    # Before the job.
+    # Preparation before the task.
 
     def approach(self, arm: LiveArm, force: LiveForce | None) -> None:
-        """Brings the arm from near ``q_start``, where it is held, to it; what is learned on the way is kept.
+        """Moves the arm from near ``q_start``, where it rests, to it; feedforward and sensors learn from the motion.
 
-        A tool that presses is weighed first, high above the path; it then comes down as slowly as a touch asks for.
+        A tool for contact is weighed first, high above the path; it then descends at a speed that is safe for a touch.
 
         Args:
             arm: connected.
             force: None where none is needed.
 
         Raises:
-            SceneError: it is not near, or what is felt on the way cannot be.
+            SceneError: it is not near, or a force on the way is implausible.
             FollowStoppedError: it could not go on.
         """
         if self.configured.contact is None:
@@ -293,9 +293,9 @@ class Job:
         return Surface(frames.position[0], up, WITHIN, stiffness_of(self.model, self.robot, self.q_start, up))
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
-        """The task, after all motions that it needs beforehand (calibration, weighing the tool, touching the surface).
+        """The task after its preparing motions: calibration, weighing the tool, touching the surface.
 
-        The arm is at ``q_start`` and is left there.
+        The arm is at ``q_start`` before and after.
 
         Args:
             arm: connected, at the start.
@@ -308,14 +308,14 @@ class Job:
         if self.configured.contact is not None:
             self._pressed(arm, force)
         else:
-            # What the arm reports while it presses is no friction: only one that has touched nothing is learned from.
+            # Reports during contact do not show friction: only those of free motion are learned from.
             moved = [*self.moved, *arm.reported]
             arm.meanwhile(lambda: task.learn(moved))
         self.configured.connect(force, camera)
         if camera is not None and eye is not None:
             camera.use(self.calibration.camera, self.calibration.time_offset)
             if self.configured.contact is None:
-                # On a surface the sight itself leaves out what does not fit.
+                # On a surface the sight itself rejects points that do not fit.
                 camera.calibrated, eye.heard = self.calibration.known, camera.fused
         task.lead(arm)
         if camera is not None and eye is not None:
@@ -372,7 +372,7 @@ class Job:
         speed = arm.meanwhile(lambda: bearable_speed(settings, follower.errors, wanted, T, left, answered, ratio))
         if speed < wanted:
             E, allowed = 1e-3 * settings.elasticity, most_force(settings.force)
-            # An elasticity scatters by some per cent.
+            # The measured elasticity scatters by some per cent, so the speed is reduced by five.
             slower = math.floor(950.0 * speed) / 1e3
             error = arm.meanwhile(lambda: forecast_error(settings, follower.errors, wanted, T, left, answered))
             raise SceneError(f"a contact of {E:.0f} N/mm is too stiff for {wanted:g} m/s: a surface of unknown shape "
@@ -391,10 +391,10 @@ class Job:
                              "whether the tool is the same and firmly mounted, and if it is to be another one, follow "
                              "once with --no-check")
 
-    # After the job.
+    # Results after the task.
 
     def columns(self, t: Array) -> dict[str, Array]:
-        """What the recording holds besides the arm's own, at times of the run ``t (N,)`` [s]; times in it are such.
+        """Columns of the recording besides the arm's own, at times of the run ``t (N,)`` [s].
 
         ``cam_t`` and the line points of each field, as in recordings of line scenes; the wrench as sensed and the felt
         normal force, NaN before the first and behind the last.

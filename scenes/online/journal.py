@@ -1,4 +1,4 @@
-"""Every cycle of a run, written to a file as it happens: what is done is kept even if the program is killed."""
+"""Writes every cycle of a run to a file as it happens, so that it is kept even if the program is killed."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _QUANTITIES = ("q_d", "q_c", "q", "tau")
 
 
 class Journal:
-    """Rows of 64-bit numbers at the end of a file: the system has each as soon as it is written, whatever comes next.
+    """Appends rows of 64-bit numbers to a file: the system has each as soon as it is written, whatever follows.
 
-    Nothing of it is held in memory, however long the run.
+    Nothing is kept in memory, however long the run.
 
     Args:
         folder: of the run; made if it is not there.
         robot: the arm.
-        meta: what the recording's metadata shall hold.
+        meta: metadata of the recording.
 
     Attributes:
         unwritten: cycles that the disk did not take.
@@ -60,11 +60,11 @@ class Journal:
             raise OutputError.of(folder / ROWS, error) from error
 
     def begin(self) -> None:
-        """The time of the run begins anew: the next row is the first of it."""
+        """Restarts the time of the run: the next row is its first."""
         self._begun = self._rows
 
     def add(self, t: float, state: RobotState, q_d: Array, q_c: Array) -> None:
-        """One cycle; what the disk does not take is missing.
+        """Adds the row of one cycle; rows that the disk does not take are missing.
 
         Args:
             t: time of the run that belongs to the state [s].
@@ -76,7 +76,7 @@ class Journal:
         for values, row in zip((q_d, q_c, state.q, state.tau), self._each, strict=True):
             row[:] = values
         try:
-            # Written at its own offset: the next row overwrites one of which a full disk took only a part.
+            # Written at its own offset, so that the next row overwrites one that a full disk took only in part.
             whole = os.pwrite(self._file.fileno(), self._row.data, self._row.nbytes * self._rows) == self._row.nbytes
         except OSError:
             whole = False
@@ -84,7 +84,7 @@ class Journal:
         self.unwritten += not whole
 
     def recording(self) -> Recording:
-        """The rows so far, also where the folder is gone meanwhile."""
+        """The rows so far as a recording, even where the folder has been removed meanwhile."""
         return _recording(self._values(), dict(self._meta))
 
     def times(self) -> Array:
@@ -97,7 +97,7 @@ class Journal:
         return values.reshape(-1, len(self._row))
 
     def close(self) -> None:
-        """Ends the file; it is removed where it has no row, as of a run without an arm."""
+        """Closes the file; it is removed where it has no row, as in a run without an arm."""
         self._file.close()
         if not self._rows:
             remove(self._folder)
@@ -106,9 +106,9 @@ class Journal:
 
 @contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Within the block the folder, made where it is missing, is this run's alone: its journal belongs to its process.
+    """Locks the folder, which is made if needed, for this run within the block, so that its journal is its own.
 
-    The system gives the folder back with the process, however that ends.
+    The system releases the lock when the process ends, for whatever reason.
 
     Raises:
         InputError: another run is under way in it.
@@ -128,13 +128,13 @@ def owned(folder: Path) -> Iterator[None]:
 
 
 def remove(folder: Path) -> None:
-    """The recording of a run is written: its journal goes."""
+    """Removes the journal after the recording of the run is written."""
     (folder / ROWS).unlink(missing_ok=True)
     (folder / META).unlink(missing_ok=True)
 
 
 def left_behind(folder: Path) -> Recording | None:
-    """What a run that was killed has left in its folder; None where there is nothing, or nothing that can be read."""
+    """The recording that a killed run left in its folder; None where there is none, or none that can be read."""
     try:
         recording = _recording(*journal_rows(folder))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
@@ -160,12 +160,12 @@ def journal_rows(folder: Path, first: int = 0, count: int = -1) -> tuple[Array, 
     size = 2 + len(_QUANTITIES) * n
     values = np.fromfile(folder / ROWS, dtype=np.float64, offset=8 * size * first,
                          count=size * count if count >= 0 else -1)
-    # A row that is only half there is none.
+    # An incomplete row is dropped.
     return values[: len(values) // size * size].reshape(-1, size), meta
 
 
 def rescue(folder: Path) -> Path | None:
-    """Makes a recording of what was left behind and returns its place; only then the journal goes."""
+    """Writes a recording from a killed run's journal, removes the journal, and returns the recording's path."""
     recording = left_behind(folder)
     place = None if recording is None else recording.write(folder / "recording_killed.parquet")
     remove(folder)
@@ -179,16 +179,16 @@ def _recording(rows: Array, meta: dict[str, Any]) -> Recording:
     tau = columns.pop("tau")
     if np.isfinite(tau).all():
         columns |= {"current": tau / gain, "tau": tau}
-    # The controller's time goes on through calibration and run; that of the run begins anew.
+    # The controller's time runs through calibration and run; that of the run restarts.
     return Recording.from_arrays(rows[:, 1], meta=meta, source="follow", **columns)
 
 
-# Recording and page of a run, written by a process of its own.
+# Recording and page of a run are written by a separate process.
 #
-# Tables and plots take more memory than all the rest: the process that leads an arm does not load them.
+# Tables and plots take more memory than all the rest: the process that commands an arm does not load them.
 
 def written(result: FollowResult, folder: Path) -> FollowResult:
-    """Writes recording, page and figures of a run into its folder; returns the result with their places.
+    """Writes recording, page and figures of a run into its folder; returns the result with their paths.
 
     Raises:
         OutputError: they cannot be written; the journal of the run is kept.
@@ -198,7 +198,7 @@ def written(result: FollowResult, folder: Path) -> FollowResult:
 
 
 def rescued(folder: Path) -> Path | None:
-    """Makes a recording of what a run that was killed has left in its folder; None where there is nothing."""
+    """Writes a recording from a killed run's journal in its folder and returns its path; None where there is none."""
     if not ((folder / ROWS).is_file() and (folder / META).is_file()):
         return None
     place: Path | None = _elsewhere("scenes.online.journal:rescue", folder)
@@ -217,7 +217,7 @@ def _elsewhere(work: str, *given: Any) -> Any:
 # Progress that is shown when no answer waits for it: drawing a bar takes a lock and writes to a terminal.
 
 class Later:
-    """A ``scenes.result.Progress`` that keeps the newest until ``catch_up`` shows it by another one."""
+    """A ``scenes.result.Progress`` that stores the newest progress until ``catch_up`` shows it."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
@@ -228,7 +228,7 @@ class Later:
         self._newest = done, text
 
     def catch_up(self) -> None:
-        """Shows what has not been shown yet."""
+        """Shows the newest stored progress."""
         newest, self._newest = self._newest, None
         if newest is not None:
             self._progress(*newest)

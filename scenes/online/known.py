@@ -1,4 +1,4 @@
-"""What is known before anything moves, by whoever follows: nothing of the world."""
+"""The data that a follower knows before the motion, without those of the simulated world."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sensing.camera.line_search import DetectionSettings
 
 @dataclass(kw_only=True)
 class Known:
-    """What a follower is given.
+    """Data for a follower that are known before the motion.
 
     Attributes:
-        scene: the file; of its tables those of the world are not looked at.
+        scene: the scene file; its tables of the simulated world are not used.
         robot: as its data sheet has it, with the controller's cycles.
         delay: cycles between the hand-over of a command and the begin of its interpolation.
         reference: the path.
-        camera: as it is believed: by hand at first, then as calibrated; looked through where the scene has one.
+        camera: the camera model: nominal at first, then calibrated; used where the scene has a camera.
         detector: finds a line's points in a field.
         detection: how the line looks.
         clear: how far the tip keeps away from the reference while the camera is calibrated [m].

@@ -1,4 +1,4 @@
-"""The camera as a sensor of a task: fields that come when they come, the line's points in them, what became of them."""
+"""The camera in a task: fields at any times, the line points in them, and the results of their fusion."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RECENT = 32
 
 
 class Sight(Protocol):
-    """Where to look for the line, and what a field says of the deviation."""
+    """Interface that predicts the line for the camera and measures the deviation from its fields."""
 
     def predict(self, t: float) -> LineAhead:
         """The line as predicted for a field exposed at ``t`` [s]."""
@@ -45,30 +45,30 @@ class Sight(Protocol):
 
 
 class Look(Protocol):
-    """What is known of the camera and of how the line looks."""
+    """The camera model and the appearance of the line."""
 
     camera: CameraModel
     detection: DetectionSettings
 
     @property
     def detector(self) -> LineDetector:
-        """Finds a line's points in a field."""
+        """The detector that finds a line's points in a field."""
 
 
 class LineCamera(Sensor):
-    """A camera that sees a line.
+    """The camera on a line, as a ``Sensor`` of a task.
 
     Args:
-        known: camera, how the line looks and what finds it.
-        sight: what is fused into.
+        known: camera model, appearance of the line, and its detector.
+        sight: receives the fused fields.
         history: where the tool was.
         log: is written to.
-        model: of the arm, whose effects say what is wrong with the camera; None for a method that knows of none.
+        model: of the arm, whose effects contain the camera's errors; None for a method without a model.
         at_once: see ``Sensor``.
-        newest: whether of several fields that come at once the newest is fused alone, which shows of the line what
-            those before it have shown.
+        newest: whether of several fields that arrive together only the newest is fused, as it shows what the others
+            show.
         points: line points of a field that are kept for the recording.
-        shown_to: is shown what each field shows as well, with the tool's pose then.
+        shown_to: also receives each field, with the tool's pose at its exposure.
     """
 
     def __init__(self, known: Look, sight: Sight, history: PoseHistory, log: TaskLog,
@@ -87,7 +87,7 @@ class LineCamera(Sensor):
         """The last field that was fused in this cycle, and what was seen in it."""
 
     def connect(self, camera: Camera, heard: Callable[[Fused | None], None] | None = None) -> None:
-        """Takes the camera that is read from now on; ``heard`` gets what became of each field, None for nothing."""
+        """Sets the camera that is read from now on; ``heard`` gets the result of each field, None for no line."""
         self.camera, self.heard = camera, heard
 
     def predicted(self, t: float) -> PredictedLine:
@@ -95,9 +95,9 @@ class LineCamera(Sensor):
         return self.sight.predict(t).seen_by(self.known.camera, t, self.history.row_pose)
 
     def fuse(self, t: float) -> Work:
-        """See ``Sensor``."""
+        """Fuses what has arrived by ``t`` [s], or does the next part of it; see ``Sensor``."""
         self.last = None
-        # A field that a network delivers twice is one measurement.
+        # A field that the network delivers twice is used once.
         fields: list[Field] = []
         for field in self.camera.arrived(t):
             if field.t_stamp not in self._stamps and field.t_stamp >= self._from:
@@ -139,15 +139,15 @@ class LineCamera(Sensor):
         return at_middle_row(seen, camera, self.history.row_pose)
 
     def stood(self, t: float) -> None:
-        """See ``Sensor``."""
+        """Notes that the arm stood still: data from before ``t`` [s] belong to unexpected places; see ``Sensor``."""
         self._from = t
 
     def check(self, t: float) -> None:
-        """See ``Sensor``."""
+        """Raises ``PlanningError`` where the line or the surface has been lost by ``t`` [s]; see ``Sensor``."""
         self.sight.check(t)
 
     def request(self, t0: float, t1: float) -> None:
-        """See ``Sensor``: asks for windows where the line should be."""
+        """Requests windows where the line should be; see ``Sensor.request``."""
         self.log.with_field.append(self._worked)
         self._worked = False
         self.camera.request(t0, t1, self._windows)

@@ -1,4 +1,4 @@
-"""What is known of a line scene before anything moves, by whoever follows the line: nothing of the world."""
+"""The data of a line scene that are known before the motion, without those of the simulated world."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ START = 0.48
 
 @dataclass(kw_only=True)
 class KnownLine(Known):
-    """What a follower of a line is given: the camera's place and the line's, and what becomes of them on the way."""
+    """Data for a follower of a line: the camera's place and the line's, and how both may change."""
 
     scene: LineScene
     follower: LineFollower
@@ -53,12 +53,12 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
     """Reference path and follower of a scene.
 
     Args:
-        scene: speed, limits and what is measured.
+        scene: speed, limits and measured quantities.
         robot: the arm with the controller's cycle.
         points: of the reference ``(N, 3)`` [m].
         camera: as it is believed.
-        surface: motion that takes the surface to where calibration saw it: the reference is laid on it. What it could
-            not tell, or all of it where there was none, is left to the follower.
+        surface: motion of the surface from its nominal place to its calibrated one, by which the reference is moved;
+            the follower estimates the rest.
         latency: usual age of a field when it arrives [s].
         shape: one of ``SHAPES``; if None, the first where the reference has the line's own shape, else the last.
 
@@ -90,7 +90,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
 
 
 def view_of(camera: CameraModel) -> tuple[float, float]:
-    """Nearest and farthest distance ahead of the tool at which this camera shows a line [m], at most the usual ones."""
+    """Nearest and farthest distance ahead of the tool in this camera's view [m], at most the default ones."""
     ahead = np.linspace(*FollowerSettings.view, 151)
     pixels = camera.project_tool(np.column_stack([ahead, np.zeros((len(ahead), 2))]))
     size = np.array([camera.width, camera.height])
@@ -103,7 +103,7 @@ def span_of(scene: LineScene, reference: ReferencePath) -> tuple[float, float]:
     return scene.reference.run_up, reference.length - scene.reference.run_out
 
 
-# Looking at one piece of the line while the camera moves over it: where to move, what to expect, what was seen.
+# Moves the camera over one segment of the line: motion, predicted line, points seen.
 
 SPREAD = np.linspace(-0.07, 0.07, 9)
 """Places on the line looked for in each field, around the middle of the view [m]."""
@@ -127,7 +127,7 @@ REST = 0.16
 
 @dataclass(frozen=True)
 class SeenBefore:
-    """How whole pictures from above the reference showed the line, and where, two points of each.
+    """Where whole pictures from above the reference showed the line, two points of each.
 
     Attributes:
         detection: how it looks.
@@ -146,7 +146,7 @@ class SeenBefore:
     @classmethod
     def of(cls, detection: DetectionSettings, places: Array, pictures: Sequence[tuple[Gray, pin.SE3]],
            reference: ReferencePath) -> SeenBefore:
-        """What pictures have shown, from the points of each in the tool frame.
+        """Makes the deviations of the line from the points of each picture in the tool frame.
 
         Args:
             detection: how the line looks.
@@ -157,7 +157,7 @@ class SeenBefore:
         points = [np.array([pose.act(point) for point in two]) for two, (_, pose) in zip(places, pictures, strict=True)]
         seen = [reference.project(two, _nearest(reference, two.mean(axis=0)))[:2] for two in points
                 if np.isfinite(two).all()]
-        # What is nearer to across than along is no line that leads along the reference, but one that crosses it.
+        # A line that runs more across than along the reference is not the line to be followed, but crosses it.
         seen = [(s, deviation) for s, deviation in seen if abs(np.diff(deviation)[0]) < abs(np.diff(s)[0])]
         s, deviation = (np.concatenate(one) for one in zip(*seen, strict=True)) if seen else (np.empty(0), np.empty(0))
         before = cls(detection, s, deviation, tuple(pictures))
@@ -199,15 +199,15 @@ class SeenBefore:
 
 def looked_again(known: KnownLine, camera: CameraModel, before: SeenBefore, span: tuple[float, float]
                  ) -> tuple[float, float] | None:
-    """How far the line's shape leaves its reference's, by the pictures before the run and the camera as calibrated.
+    """How far the line's shape leaves the reference's, by the pictures before the run and the calibrated camera.
 
-    That camera measures well enough to follow the line from picture to picture, and to tell a copy of its reference
-    and narrow bends. What was told before stays where the pictures show a piece of it nowhere, or no shape fits.
+    That camera is accurate enough to follow the line from picture to picture, and to distinguish a copy of its
+    reference from narrow bends. Returns None where no picture shows the line, or no shape fits.
 
     Args:
         known: reference, detector, and the camera as it was believed to be when the pictures were taken.
         camera: as calibrated.
-        before: the pictures, and what they told.
+        before: the pictures with their deviations.
         span: arc lengths of the reference between which the line ought to be [m].
     """
     if (shape := before.shape) is None:
@@ -239,7 +239,7 @@ def _nearest(reference: ReferencePath, point: Array) -> float:
 
 def piece_map(reference: ReferencePath, at: float, before: SeenBefore = SeenBefore(), reach: float = REACH
               ) -> DeviationFilter:
-    """Map of the line's deviation from the reference around one piece of it.
+    """Map of the line's deviation from the reference around one segment of it.
 
     Args:
         reference: the reference path.
@@ -257,20 +257,20 @@ def piece_map(reference: ReferencePath, at: float, before: SeenBefore = SeenBefo
 
 
 class CalibrationView:
-    """What is known of arm and line while the camera moves, and what was seen.
+    """Data of arm and line while the camera is calibrated by moving, with the fields seen so far.
 
-    Where the line lies and how it is shaped is found on the way: fields go into a map of its deviation from the
-    reference, as those of a run do.
+    Place and shape of the line are estimated during the motion: fields are fused into a map of its deviation from the
+    reference, as in a run.
 
     Args:
         robot: the arm.
         reference: the reference path.
         believed: the camera as mounted by hand.
         detection: how the line looks.
-        detector: what finds its points.
+        detector: finds the line's points.
         q: where the arm rests at first ``(n,)`` [rad].
         fusion: the map, see ``piece_map``.
-        beside: what the arm's joints may do to a calibration; None where the camera is only looked through.
+        beside: effects of wrong joint places on a calibration; None without a calibration.
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
@@ -290,7 +290,7 @@ class CalibrationView:
         return _nearest(self.reference, pose.act(middle_of_view(self.believed)))
 
     def look(self, shown: Field, prediction: PredictedLine, ahead: float) -> None:
-        """Notes the line points of a field.
+        """Stores the line points of a field.
 
         Args:
             shown: as it arrived.
@@ -317,7 +317,7 @@ class CalibrationView:
         Args:
             at: arc length of the place [m].
             fields: that were taken.
-            remedy: what ``SceneError`` says where fewer than half of them showed the line.
+            remedy: advice in ``SceneError`` where fewer than half of the fields showed the line.
         """
         if (count := len(self.observations)) < max(fields // 2, 3):
             raise SceneError(f"the camera could not be calibrated: only {count} of {fields} fields showed the line; "

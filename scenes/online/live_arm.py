@@ -1,4 +1,4 @@
-"""An arm that is led in real time, whatever maker's interface it is behind: its clock, its stops, its recording."""
+"""A connected arm in real time, behind any maker's interface: its clock, its stops, its recording."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Worked = TypeVar("Worked")
 
 
 def near_start(held: Array, start: Array, tolerance: float) -> Array:
-    """How far from the start of the path the arm is held ``(n,)`` [rad].
+    """Differences of the resting arm's joints from the path's start ``(n,)`` [rad]; raises if too far.
 
     Args:
         held: joint angles ``(n,)`` [rad].
@@ -76,11 +76,11 @@ def near_start(held: Array, start: Array, tolerance: float) -> Array:
 
 
 class FollowStoppedError(PlanningError):
-    """Following has to end: the arm is brought to rest on its path."""
+    """Following has to end; the arm is brought to rest on its path."""
 
 
 class Link(Protocol):
-    """What both makers' interfaces have."""
+    """The common interface of the makers' links."""
 
     robot: Robot
     t_ipo: float
@@ -97,31 +97,30 @@ class Link(Protocol):
         """When the last packet was read, by ``time.perf_counter`` [s]."""
 
     def send(self, q_c: Array) -> None:
-        """Hands over a command ``(n,)`` [rad]."""
+        """Sends a command ``(n,)`` [rad]."""
 
     def receive(self) -> RobotState:
         """Waits for the next packet."""
 
     def skip(self, q_c: Array) -> None:
-        """A command ``(n,)`` [rad] of a cycle in which the controller went on by itself."""
+        """Stores the command ``(n,)`` [rad] of a cycle in which the controller continued by itself."""
 
 
 class LiveArm:
-    """A ``RobotInterface`` to a connected arm, each of whose cycles is written down in a journal.
+    """A ``RobotInterface`` to a connected arm that writes each cycle to a journal.
 
-    Its time, which planning and sensors share, counts the cycles since ``begin``. Where a cycle was lost on the wire
-    and the controller held the arm meanwhile, the path waits, and so does its time. Where the controller went on as
-    before (increments that are held on), so does the path: what was lost is planned, but not commanded, and the arm is
-    led from where it has come to, which is near the path, instead of waiting beside it. Only so many cycles are made
-    good in one as leave time for the answer; for the rest the path waits. ``play_time`` says which of the path's time
-    belongs to a time of this computer.
+    Its time, which planning and sensors share, is the number of cycles since ``begin``. If the controller stopped the
+    arm in a lost cycle, path and time wait. If the controller continued (increments that are repeated), the path
+    continues as well: lost cycles are planned but not commanded, and the arm goes on from where it is. Only as many
+    lost cycles are caught up in one cycle as leave time for the answer; for the others the path waits. ``play_time``
+    converts this computer's time to the path's.
 
     Attributes:
         t_ipo: cycle [s].
         clock: how the controller's clock relates to this computer's.
         between: called in every cycle after the command has gone and before the next packet is waited for.
-        at_begin: called when time begins anew.
-        guard: what every motion of the arm is looked at by.
+        at_begin: called when time restarts.
+        guard: checks every motion of the arm.
         q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
         steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
         pace: share of a cycle by which the path's time goes on in each.
@@ -150,7 +149,7 @@ class LiveArm:
         return self.guard.reason
 
     def stop(self, reason: str) -> None:
-        """The arm is to come to rest on its path; to be called from anywhere."""
+        """Requests that the arm comes to rest on its path; may be called from any thread."""
         self.guard.stop(reason)
 
     def check(self, t: float) -> None:
@@ -163,7 +162,7 @@ class LiveArm:
             raise FollowStoppedError(f"stopped on the path at {t:.3f} s: {self.stop_reason}")
 
     def begin(self) -> None:
-        """Time begins anew: the next cycle is the first."""
+        """Restarts time: the next cycle is the first."""
         self._k, self.pace = 0.0, 1.0
         self._journal.begin()
         self._passed.clear()
@@ -179,12 +178,12 @@ class LiveArm:
 
     @property
     def paced(self) -> bool:
-        """Whether the path goes on by less than a cycle in each."""
+        """Whether the path advances by less than a cycle in each cycle."""
         return self.pace != 1.0
 
     @property
     def behind(self) -> bool:
-        """Whether the last packet was there before it was waited for: there is no time for what can wait."""
+        """Whether this computer is late: the last packet had arrived before it was waited for."""
         return self._waited <= _SPARE * self.t_ipo
 
     @property
@@ -193,7 +192,7 @@ class LiveArm:
         return float("nan") if self._last is None else self._last.t
 
     def cycle(self, q_c: Array) -> RobotState:
-        """One cycle, which the guard looks at; the state's time is that since ``begin``.
+        """Runs one cycle under the guard; the state's time is that since ``begin``.
 
         Raises:
             InputError, LimitError: a command that cannot be.
@@ -207,7 +206,7 @@ class LiveArm:
 
     def _cycle(self, q_c: Array) -> RobotState:
         if self._passed:
-            # The answer that waits is the one to the last packet: this cycle is over already.
+            # The pending answer is to the last packet: this cycle is over already.
             self.link.skip(q_c)
             return self._counted(self._passed.popleft())
         try:
@@ -221,13 +220,13 @@ class LiveArm:
         except IdealRobotError as error:
             if isinstance(error, PlanningError):
                 raise
-            # A controller that misses answers may give up before who sends them does.
+            # Missed answers may be the controller's reason to stop.
             late = f"; {self._late()}" if any(self._missed) else ""
             raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}{late}") from error
         self.cycles += 1
         self.clock.add(state.t, self.link.arrived)
         first = self._made_good(state)
-        # Cycles that are made good lie before the state.
+        # Cycles that are caught up lie before the state.
         self._journal.add(self.t + self.t_ipo * (self.pace + len(self._passed)), state, self.q_d, sent)
         self._check_late()
         return self._counted(first)
@@ -265,7 +264,7 @@ class LiveArm:
         if not self.link.gone_on or self._last is None:
             return state
         count = min(self.link.gone_on, max(int(_FOR_LOST * self.t_ipo / max(self._usual(), 1e-6)), 1))
-        # Some of them may have come, too late for an answer.
+        # Some of the lost states may have arrived, too late for an answer.
         heard = [self._last, *(one for one in self.link.unanswered if self._last.t < one.t < state.t), state]
         times, steps = np.array([one.t for one in heard]), self.link.gone_on + 1
         between = times[0] + np.arange(steps - count, steps) / steps * (times[-1] - times[0])
@@ -291,12 +290,12 @@ class LiveArm:
         return played[i - 1] + share * (played[i] - played[i - 1])
 
     def stood(self, host: float) -> bool:
-        """Whether the path waited at this computer's time ``host`` [s], so that what was sensed then is of no place."""
+        """Whether the path waited at this computer's time ``host`` [s], so that sensor data of then have no place."""
         i = bisect_right(self._told, self.clock.stamp(host))
         return 0 < i < len(self._told) and self._played[i] == self._played[i - 1]
 
     def approach(self, start: Array) -> None:
-        """Brings the arm from where it is held to the start ``(n,)`` [rad], which has to be near.
+        """Moves the arm from where it rests to the start ``(n,)`` [rad], which has to be near.
 
         Raises:
             SceneError: it is not near.
@@ -306,7 +305,7 @@ class LiveArm:
         self.lead(moves(self.robot, [self.link.commanded.copy(), start], _APPROACH))
 
     def lead(self, commands: Array) -> None:
-        """Goes through commands ``(N, n)`` [rad] from rest to rest, as fast as the guard lets it.
+        """Executes commands ``(N, n)`` [rad] from rest to rest, as fast as the guard permits.
 
         Raises ``FollowStoppedError`` where it has to end; the arm then is at rest and touches nothing.
         """
@@ -322,19 +321,19 @@ class LiveArm:
             raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}") from error
 
     def timed(self, *ways: Array) -> Any:
-        """Commands as fast as the guard lets them be, see ``Guard.timed``; of each of several ways if there are."""
+        """Commands timed as fast as the guard permits, see ``Guard.timed``; one result per path given."""
         timed = self.meanwhile(lambda: [self.guard.timed(way) for way in ways])
         return timed if len(ways) > 1 else timed[0]
 
     @contextmanager
     def motion(self) -> Iterator[None]:
-        """Brings the arm to rest, away from what it touches, where the motion in the block ends early."""
+        """Brings the arm to rest without contact where the motion in the block ends early."""
         with self.guard.motion(self.cycle):
             yield
 
     @contextmanager
     def doing(self, work: Callable[[], None]) -> Iterator[None]:
-        """Within the block this work, too, is done in every cycle after the command has gone."""
+        """Within the block also does this work in every cycle, after the command was sent."""
         self.between.append(work)
         try:
             yield
@@ -342,7 +341,7 @@ class LiveArm:
             self.between.remove(work)
 
     def meanwhile(self, work: Callable[[], Worked]) -> Worked:
-        """What work that takes longer than a cycle gives; the arm, at rest, is held where it is until then.
+        """The result of work that takes longer than a cycle; meanwhile the arm is commanded to stay at rest.
 
         Raises whatever the work does, or ``FollowStoppedError``.
         """
@@ -371,10 +370,10 @@ def moves(robot: Robot, postures: list[Array], rest: float) -> Array:
     return np.concatenate(rows)
 
 
-# An arm behind another interpolation cycle, and how soon its loop answers.
+# An arm with another interpolation cycle, and the response time of its loop.
 
 def at_cycle(arm: Robot, cycle: float) -> Robot:
-    """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it.
+    """The arm with another interpolation cycle [s]; the inner cycles are shortened until they fit into it.
 
     Raises:
         InputError: no cycle that a controller has.

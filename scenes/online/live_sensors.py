@@ -1,4 +1,4 @@
-"""The camera in the loop of a live arm: pictures come when they come, and are evaluated elsewhere."""
+"""The camera of a live arm: pictures arrive at any time and are evaluated in another process."""
 
 from __future__ import annotations
 
@@ -53,28 +53,28 @@ Predict = Callable[[float], PredictedLine]
 
 
 class SharedTime(Protocol):
-    """Whose time what is sensed is given; ``at_begin`` is called where it begins anew."""
+    """Interface of the time that sensors share with the arm; ``at_begin`` is called where it restarts."""
 
     at_begin: list[Callable[[], None]]
 
     @property
     def t_ipo(self) -> float:
-        """Its cycle [s]."""
+        """Interpolation cycle [s]."""
 
     def play_time(self, host: float) -> float:
-        """Its time that belongs to this computer's time ``host`` [s]; NaN where none does."""
+        """The arm's time that corresponds to this computer's time ``host`` [s]; NaN where there is none."""
 
 
 def belongs_until(arm: SharedTime, t: float) -> float:
-    """Until when what is sensed belongs to a cycle that ended at ``t``, both [s]: to the nearest one."""
+    """Latest instant [s] of sensor data that belong to the cycle that ended at ``t`` [s]: that of the nearest cycle."""
     return t + 0.5 * arm.t_ipo
 
 
 def waits(arm: SharedTime, t: float, instant: float) -> bool:
-    """Whether what was sensed belongs to a later cycle than the one that has ended.
+    """Whether sensor data of ``instant`` belong to a later cycle than the one that has ended.
 
-    Where this computer is behind the controller, it has not read yet how the arm moved until then. Forecast from the
-    motion before, that is wrong by as much as a force sensor tells a surface apart.
+    Where this computer is behind the controller, it has not read yet how the arm moved until then. A forecast from the
+    motion before would be wrong by as much as a force sensor resolves.
 
     Args:
         arm: whose time it is.
@@ -86,31 +86,31 @@ def waits(arm: SharedTime, t: float, instant: float) -> bool:
 
 @dataclass(frozen=True)
 class EvaluatedField(Field):
-    """A field whose line points have been found already."""
+    """A field whose line points are already known."""
 
     seen: LineField = None  # type: ignore[assignment]
 
 
 class FoundBefore:
-    """The detector of fields that were evaluated elsewhere; a ``LineDetector``."""
+    """A ``LineDetector`` for fields that were evaluated in another process."""
 
     name: ClassVar[str] = "found_before"
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """See ``LineDetector.detect``; of an ``EvaluatedField``, nothing else is needed."""
+        """Line points of an ``EvaluatedField``, which are already known; see ``LineDetector.detect``."""
         return self.points(field)
 
     @staticmethod
     def points(field: Field) -> LineField:
-        """What was found in an ``EvaluatedField``."""
+        """The line points of an ``EvaluatedField``."""
         if not isinstance(field, EvaluatedField):
             raise SensingError("only fields that were evaluated before")
         return dataclasses.replace(field.seen, t=field.t_stamp)
 
 
 class LiveCamera:
-    """A ``sensing.camera.camera_device.Camera`` that exposes as it likes.
+    """A ``sensing.camera.camera_device.Camera`` that exposes on its own schedule.
 
     Args:
         process: reads and evaluates.
@@ -121,10 +121,10 @@ class LiveCamera:
         predict: see ``Predict``; nothing is evaluated before it is given.
         late, early: pictures that were not evaluated because of their stamps.
         ages: from mid-exposure until the field was used [s].
-        hand_eye: a calibration that was asked for, once it has come, or why there is none.
+        hand_eye: the requested calibration, once it is done, or why it failed.
         signs: its signs of life; the arm is stopped where they fail.
-        calibrated: whether what it shows has to fit as well as it says.
-        checked: what the look from several poses before the job showed, as plain values; empty without one.
+        calibrated: whether its points have to agree with the map within their standard deviations.
+        checked: result of the check from several poses before the task, as plain values; empty without one.
     """
 
     def __init__(self, process: CameraProcess, arm: LiveArm, detection: DetectionSettings) -> None:
@@ -141,34 +141,35 @@ class LiveCamera:
         arm.between.append(self.serve)
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
-        """See ``Camera.request``; whole pictures come anyway."""
+        """Does nothing, as whole pictures come without requests; see ``Camera.request``."""
 
     def arrived(self, t: float) -> list[Field]:
-        """See ``Camera.arrived``."""
+        """The fields that have arrived by ``t`` [s], see ``Camera.arrived``."""
         self._take()
         fields, self._evaluated = self._evaluated, []
         self.ages += [t - field.t_stamp for field in fields]
         return fields
 
     def calibrate(self, *given: Any) -> None:
-        """See ``CameraProcess.calibrate``; ``hand_eye`` is what comes of it."""
+        """Requests a calibration, see ``CameraProcess.calibrate``; its result is in ``hand_eye``."""
         self.predict = None
         self._process.calibrate(*given)
 
     def use(self, camera: CameraModel, time_offset: float) -> None:
-        """The camera as it is calibrated, and what has to be added to its stamps [s]."""
+        """Sets the calibrated camera and the correction of its stamps [s]."""
         self._process.use(camera)
         self.time_offset = time_offset
 
     def fused(self, fused: Fused | None) -> None:
-        """What became of a field (None: it showed nothing); stops the arm where the line leaps or moves unlike it."""
+        """Adds the fusion of a field (None: no line); stops the arm where the line jumps or moves implausibly."""
         if fused is None or not len(fused.innovation):
             return
-        # The first field may differ by far from what was expected: the filter knew that it knew little.
+        # The first field may differ far from its prediction, as the filter's variance is still large.
         self.signs.departs(float(fused.innovation[0]), LEAP + _FAR * fused.sigma)
         if self.calibrated:
-            # The points of a field err together: as one. Sharp corners, which no map of the line expects, come to 2.8
-            # (three seeds, with and without a look at the cell), pictures moved by two pixels to 7, of 4.0 allowed.
+            # The errors of a field's points are correlated, so they are used as one value. Sharp corners, which no map
+            # of the line predicts, reach 2.8 (three seeds, with and without a check of the cell), pictures shifted by
+            # two pixels 7; 4.0 are allowed.
             self.signs.fits(fused.nis / len(fused.innovation), 1)
         self._stop_at_fault()
 
@@ -177,9 +178,9 @@ class LiveCamera:
             self._arm.stop(f"the camera: {self.signs.fault}")
 
     def serve(self) -> None:
-        """Sends the predictions for pictures that have come; called while the controller is busy.
+        """Sends predictions for the pictures that have arrived; called while the controller is busy.
 
-        Where answers are behind the newest picture waits, and those before it are left out.
+        Where answers are late, only the newest picture is kept.
         """
         self._take()
         if self._arm.behind:
@@ -212,7 +213,7 @@ class LiveCamera:
         elif t > belongs_until(self._arm, self._arm.t):
             self.early += 1
         else:
-            # As the camera stamped it: what is known of its clock becomes better, which is no wandering of stamps.
+            # The camera's own stamp is checked, as a better estimate of its clock must not look like jitter.
             self.signs.stamped(header.stamp, header.read)
             self._stop_at_fault()
             self._process.ask(header.number, t, self.predict(t), self.detection)
@@ -227,8 +228,8 @@ SILENCE = 0.1
 """Time without a sound reading of the force sensor after which the arm is stopped [s]."""
 _BEGINNING = 0.2
 """How much longer that may be while time has only begun: readings are late, and those from before do not count [s]."""
-_OLDEST = 0.4  # age of a reading that counts at all [s]; the arm has long been stopped by then (``SILENCE``)
-_WAITING = 4000  # readings: 0.6 s of the quickest box
+_OLDEST = 0.4  # largest age of a reading that is used [s]; the arm has long been stopped by then (``SILENCE``)
+_WAITING = 4000  # readings: 0.6 s of the fastest sensor
 _MOMENT = 0.002
 """Time in which a thread reads a packet that has come [s]; where none comes in it, none was there."""
 
@@ -238,9 +239,9 @@ class LiveForce:
 
     Attributes:
         samples: of all that were handed on the time [s] and the wrench [N, N m].
-        signs: its signs of life; readings that count as missing.
+        signs: its health; readings that are treated as missing.
         untimely: such because of their stamps.
-        reach: by how much the force may change from one reading to the next [N]; inf where that is not known.
+        reach: largest change of the force from one reading to the next [N]; inf where that is not known.
     """
 
     def __init__(self, source: WrenchSource, arm: SharedTime) -> None:
@@ -256,16 +257,16 @@ class LiveForce:
         self._thread.start()
 
     def arrived(self, t: float) -> list[WrenchSample]:
-        """See ``ForceSensor.arrived``; readings that cannot be count as missing."""
+        """The samples that have arrived by ``t`` [s]; implausible readings are treated as missing."""
         self.take(t)
         samples = list(self._taken)
         self._taken.clear()
         return samples
 
     def take(self, t: float) -> list[WrenchSample]:
-        """Samples of cycles that are over by ``t`` [s] since it was last called; ``arrived`` hands them on as well."""
+        """Samples since the last call of cycles that ended by ``t`` [s]; ``arrived`` returns them as well."""
         samples = self._due(t)
-        # Where this program itself stood still the packets have come, and the thread has not read them yet.
+        # Where this program was blocked, packets have arrived that the thread has not read yet.
         while self._quiet(t) and self._more_is_read():
             samples += self._due(t)
         return samples
@@ -291,12 +292,12 @@ class LiveForce:
 
     @property
     def pace(self) -> float:
-        """Time from one of the last readings to the next, as most of them are apart [s]; 0 while there are too few."""
+        """Usual time from one reading to the next [s]; 0 while there are too few."""
         lately = [sample[0] for sample in self.samples[-_LATELY:]]
         return median(np.diff(lately).tolist()) if len(lately) > 1 else 0.0
 
     def silent(self, t: float) -> float:
-        """How long there has been no sound reading by ``t`` [s]."""
+        """Time since the last plausible reading at ``t`` [s]."""
         return t - self._sound
 
     def _quiet(self, t: float) -> bool:
@@ -311,7 +312,7 @@ class LiveForce:
         return self._read_so_far > before
 
     def begin(self) -> None:
-        """The run's time begins anew."""
+        """Restarts the run's time."""
         self._readings.clear()
         self._taken.clear()
         self._sound = 0.0
@@ -319,7 +320,7 @@ class LiveForce:
         self.samples = RowLog(7)
 
     def trouble(self, t: float) -> str | None:
-        """Why the sensor is not to be relied on at ``t`` [s]; None where it is."""
+        """Why the sensor is not reliable at ``t`` [s]; None where it is."""
         if self.signs.fault is not None:
             return f"the force sensor: {self.signs.fault}"
         if not self._quiet(t):
@@ -327,7 +328,7 @@ class LiveForce:
         return f"no sound reading of the force sensor for {1e3 * self.silent(t):.0f} ms: {self.why_silent()}"
 
     def why_silent(self) -> str:
-        """What came instead of readings."""
+        """What arrived instead of valid readings, in words."""
         counts = self.source.counts
         reasons = self.signs.missing + [f"{number} {what}" for number, what in (
             (self.untimely, "with an impossible time"),
@@ -335,7 +336,7 @@ class LiveForce:
         return ", ".join(reasons) or "nothing came"
 
     def close(self) -> None:
-        """Ends the thread; the sensor is given back by whoever opened it."""
+        """Ends the thread; whoever opened the sensor closes it."""
         self._closed = True
         self._thread.join(1.0)
 
@@ -346,10 +347,10 @@ class LiveForce:
                 self._read_so_far += 1
 
 
-# A run without devices before the run with them: whatever is compiled or loaded late is loaded now.
+# A simulated run before the run on devices, so that code is compiled and loaded now.
 
 class ImaginedCamera:
-    """A camera that sees the line where it is predicted; a ``sensing.camera.camera_device.Camera``.
+    """A camera that shows the line exactly where it is predicted; a ``sensing.camera.camera_device.Camera``.
 
     Attributes:
         predict: see ``scenes.online.live_sensors.Predict``.
@@ -360,11 +361,11 @@ class ImaginedCamera:
         self._asked: list[float] = []
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
-        """See ``Camera.request``."""
+        """Asks for the fields of a cycle before it begins; see ``Camera.request``."""
         self._asked.append(t0)
 
     def arrived(self, t: float) -> list[Field]:
-        """See ``Camera.arrived``."""
+        """The fields that have arrived by the controller time ``t`` [s]; see ``Camera.arrived``."""
         requests, self._asked = self._asked, []
         return [self._field(instant) for instant in requests[-1:]] if self.predict is not None else []
 
@@ -382,19 +383,19 @@ class ImaginedForce:
     """A sensor that shows given forces; a ``sensing.force.sensors.ForceSensor``.
 
     Attributes:
-        wrench: what it feels ``(6,)`` [N, N m].
+        wrench: the wrench that it shows ``(6,)`` [N, N m].
     """
 
     def __init__(self) -> None:
         self.wrench = np.zeros(6)
 
     def arrived(self, t: float) -> list[WrenchSample]:
-        """See ``ForceSensor.arrived``."""
+        """The samples that have arrived by the controller time ``t`` [s]; see ``ForceSensor.arrived``."""
         return [WrenchSample(instant, t, self.wrench) for instant in (t - 0.008, t - 0.004, t) if instant >= 0.0]
 
 
 def rehearse(task: Cycled, robot: Robot, cycles: int, first: int = 0) -> Iterator[float]:
-    """Plays cycles with an arm that does at once what is desired; how long each was computed [s].
+    """Simulates cycles with an arm that follows at once; yields the time that each took to compute [s].
 
     Args:
         task: to be thrown away afterwards.

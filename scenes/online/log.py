@@ -1,4 +1,4 @@
-"""What is written down while a task is done, and how far the desired path was from what was seen."""
+"""The log of a task, and the distance of the desired path from the line that was seen."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sensing.camera.line_detection import LineField
 
 @dataclass(frozen=True)
 class FieldShown:
-    """One camera field kept for the report: what was read out and found in it, the whole image once it is drawn."""
+    """One camera field kept for the report: its windows, the points found, and the whole image once it is drawn."""
 
     t: float
     field: Field
@@ -32,7 +32,7 @@ class FieldShown:
 
 
 class FieldUse(NamedTuple):
-    """What became of a camera field: its time stamp [s], how many values were fused, and why not all."""
+    """Result of a camera field's fusion: its time stamp [s], how many values were fused, and why not all."""
 
     t: float
     values: int
@@ -41,16 +41,16 @@ class FieldUse(NamedTuple):
 
 @dataclass
 class TaskLog(CycleLog):
-    """What is written down while a task is done, whatever is sensed.
+    """The log of a task, for any sensors.
 
     Attributes:
         phase: of the motion in each cycle.
         s: arc length of the reference at each cycle [m].
         planned: desired deviation from the reference there, in the sensed directions ``(directions,)`` [m].
         with_field: whether a camera field was worked on in each cycle.
-        fields: what became of each camera field.
+        fields: result of each camera field.
         points: of each of them its time stamp [s] and the line points used in the tool frame, three values each, NaN
-            where one was left out [m]; nothing where they are not kept.
+            where one was left out [m]; empty where they are not kept.
         shown: fields for the report.
         first_used: when a field was used first [s]; NaN if never.
         samples: of each fusion of forces the time of the newest [s], normal force [N], innovation squared for each, how
@@ -92,11 +92,11 @@ class TaskLog(CycleLog):
         return sum(field.values > 0 for field in self.fields)
 
     def left_out(self) -> Counter[str]:
-        """How often a field was left out for which reason."""
+        """Numbers of fields that were not used, by reason."""
         return Counter(field.reason.split(",")[0] or "no value" for field in self.fields if not field.values)
 
     def why_left_out(self, most: int = 5) -> str:
-        """The commonest reasons in words, each with how many fields; empty where all were used."""
+        """The commonest reasons why fields were not used, in words, each with its number; empty where all were used."""
         return "; ".join(f"{count} × {reason}" for reason, count in self.left_out().most_common(most))
 
     @property
@@ -105,7 +105,7 @@ class TaskLog(CycleLog):
         return [t for t, phase in zip(self.t, self.phase, strict=False) if phase == Phase.TRAVEL.value]
 
     def add_points(self, seen: LineField, count: int) -> None:
-        """What was seen in one camera field, of which ``count`` line points are kept."""
+        """Adds one camera field, of which ``count`` line points are kept."""
         row, some = np.full(1 + 3 * count, np.nan), min(len(seen.points_tcp), count)
         row[0], used = seen.t, seen.used[:some]
         row[1:].reshape(count, 3)[:some][used] = seen.points_tcp[:some][used]
@@ -114,7 +114,7 @@ class TaskLog(CycleLog):
     def point_columns(self, t: Array, count: int) -> Iterator[tuple[str, Array]]:
         """Columns of a recording one by one: values in the rows ``t (N,)`` [s] at the fields' time stamps, else NaN.
 
-        ``count``: line points of a field.
+        ``count``: number of line points of a field.
         """
         fields = np.asarray(self.points).reshape(-1, 1 + 3 * count)
         rows = np.minimum(np.searchsorted(t, fields[:, 0]), len(t) - 1)
@@ -131,7 +131,8 @@ SETTLING = 0.3
 def plan_error(log: TaskLog, fusion: DeviationFilter) -> dict[str, float | None]:
     """Mean and largest distance [mm] of the planned path from the line as the map shows it after the run.
 
-    Counted from when the line was first followed; None where nothing was. A cell knows no other truth of its error.
+    From the time at which the line was first followed; None where it never was. In a real cell the true error is
+    unknown.
     """
     count = len(log.planned)
     s, t = (np.asarray(values)[:count] for values in (log.s, log.t))

@@ -1,4 +1,4 @@
-"""A sensor of the user's as a sensor of a task."""
+"""A sensor of the user's as a ``Sensor`` of a task."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class OwnSensor(Sensor):
 
     Args:
         sensor: the device.
-        follower: what its readings are fused into.
+        follower: receives its readings.
         log: is written to.
     """
 
@@ -28,7 +28,7 @@ class OwnSensor(Sensor):
         log.readings[sensor.name] = 0, 0
 
     def fuse(self, t: float) -> Work:
-        """See ``Sensor``."""
+        """Fuses what has arrived by ``t`` [s], or does the next part of it; see ``Sensor``."""
         name = self._sensor.name
         with RaisedBy(f"sensor {name}: arrived"):
             readings = self._sensor.arrived(t)

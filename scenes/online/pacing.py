@@ -1,15 +1,14 @@
-r"""A task goes on where its arm stood: the path's time waits for an arm that is paused, and begins again slowly.
+r"""Continues a task where its arm stopped: the path's time waits for a paused arm, and restarts slowly.
 
-The place p on the path, in cycles, goes on by a share r of a cycle in each cycle of the controller. While the arm
-stands r is 0 and the commands are led to it (``Guard.waiting``). Then p goes back to the place of the path where the
-arm stands, and from rest
+The place p on the path, in cycles, advances by a share r of a cycle in each cycle of the controller. While the arm
+stands still r is 0 and the commands move to the arm (``Guard.waiting``). Then p returns to the path's place at the arm,
+and from rest
 
 .. math:: r \le \frac{v_{try}}{|dq/dp| / T} \text{ until the arm has followed}, \qquad
           \dot r \le \min_j \frac{\eta\, a_{max,j}}{|dq_j/dp| / T}, \qquad r \le 1
 
-over what was desired before, which has been planned already, and on over what is planned anew in each of the path's
-cycles. Last, the places come to lie at whole cycles again. What is sensed is of the path's time, which is the arm's
-(``LiveArm.t``); what was sensed while it stood is not used.
+first along the old plan, then along a new plan in each of the path's cycles. At the end p is again at whole cycles.
+Sensor data are in the path's time (``LiveArm.t``); those from the stop are not used.
 """
 
 from __future__ import annotations
@@ -35,34 +34,34 @@ _WHOLE, _FINE = 1e-9, 16
 
 
 class Paced(Protocol):
-    """What is paced, see ``scenes.online.task.Task``."""
+    """Interface of what is paced, see ``scenes.online.task.Task``."""
 
     n_d: int
 
     def command(self, t: float, q_d: Array) -> Array:
-        """See ``Task.command``."""
+        """Commanded joint angles ``(n,)`` [rad] of a horizon ``(n_d, n)`` [rad] at ``t`` [s]; see ``Task.command``."""
 
     def passed(self, t: float, q: Array, q_d: Array) -> None:
-        """See ``Task.passed``."""
+        """Notes the end of a controller cycle; one cycle of the path may have several; see ``Task.passed``."""
 
     def stood(self, t: float) -> None:
-        """See ``Task.stood``."""
+        """Notes that the arm stood still and continues at ``t`` [s]; see ``Task.stood``."""
 
 
 class Pacing:
-    """The pace of one task on a connected arm.
+    """Controls the pace of one task on a connected arm.
 
     Args:
-        arm: that is led.
-        limits: what commands must keep.
-        task: what is followed.
+        arm: the connected arm.
+        limits: limits of the commands.
+        task: the task.
 
     Attributes:
         active: whether the path goes on otherwise than by a cycle in each cycle.
-        measured: state at the end of the last cycle that was led here; None before the first.
+        measured: state at the end of the last cycle that was paced; None before the first.
         governor: of the commands that are handed over here.
         now: the last of them ``(n,)`` [rad].
-        horizon: what was desired from the last cycle on that was led here ``(n_d, n)`` [rad].
+        horizon: desired positions from the last paced cycle on ``(n_d, n)`` [rad].
     """
 
     def __init__(self, arm: LiveArm, limits: Robot, task: Paced) -> None:
@@ -81,17 +80,17 @@ class Pacing:
         self.horizon = np.tile(self.now, (task.n_d, 1))
 
     def desired(self, k: int, q_d: Array) -> None:
-        """What is desired in cycle k of the path ``(n,)`` [rad]; one after the other."""
+        """Desired positions of cycle k of the path ``(n,)`` [rad]; call it for one cycle after the other."""
         self._rows.append(q_d)
         self._number = k
 
     def at(self, t: float) -> float:
-        """Time of the path at which the arm is at the begin of a cycle at ``t`` [s]; behind it where it is paced."""
+        """Time of the path at the arm's place at ``t`` [s]; it lags ``t`` where the arm is paced."""
         return max(self._p * self._T, t) if self.active else t
 
     @property
     def needed(self) -> bool:
-        """Whether the arm stands, or the path is not yet at its pace."""
+        """Whether the arm stands still, or the path does not yet have its full pace."""
         return self.active or self._stands
 
     @property
@@ -99,11 +98,11 @@ class Pacing:
         return self._arm.guard.held is not None and self._arm.guard.reason is None
 
     def reach(self, k: int, planned: Array, t: float) -> Array | None:
-        """Leads the arm on until cycle k of the path begins.
+        """Moves the arm on until cycle k of the path begins.
 
         Args:
             k: number of a cycle.
-            planned: what is desired from the cycle before it on ``(m, n)`` [rad].
+            planned: desired positions from the cycle before it on ``(m, n)`` [rad].
             t: of the path [s].
 
         Returns None when it is there, or where the arm stands for good what is desired there ``(n,)`` [rad].
@@ -136,7 +135,7 @@ class Pacing:
         for q_c in guard.waiting():
             self.measured = self._arm.cycle(q_c)
             place = self._nearest(rows, first, q_c)
-            # The feedforward comes to rest there; nobody needs its commands yet.
+            # The feedforward is run to rest there; its commands are not used yet.
             self.horizon = np.tile(self._at(rows, first, place), (self._task.n_d, 1))
             self._task.command(t, self.horizon)
             self._task.passed(self._far * self._T, self.measured.q, self.horizon)
@@ -152,7 +151,7 @@ class Pacing:
         self.horizon = interpolated(places[:-1] - first, np.arange(float(len(rows))), rows)
         wanted = self._task.command(t, self.horizon)
         if self._off is None:
-            # The feedforward rests a little beside the commands that were led to the arm.
+            # The feedforward's rest differs a little from the commands at which the arm stopped.
             self._off, self._since = self.now - wanted, 0
             self._lasts = max(float(np.max(np.abs(self._off))) / (0.5 * self._try), self._T)
         self._since += 1

@@ -1,4 +1,4 @@
-"""The page of a run on devices."""
+"""Writes the HTML page of a run on devices."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TILE = 20
 
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
-    """Writes recording, page and figures of a run into a folder; returns the result with their places."""
+    """Writes recording, page and figures of a run into a folder; returns the result with their paths."""
     return write_run_files(replace(result, recording_path=out / "recording.parquet"), _page, out, None)
 
 
@@ -33,7 +33,7 @@ def _page(result: FollowResult, _: Replay | None) -> Report:
         page.warning(f"The disk did not take {count} cycles: they are missing in the recording.")
     if result.left_behind is not None:
         page.warning(f"A run before this one was killed; what it did until then is in {result.left_behind}.")
-    # What processes and clocks did stands with the devices and the timing.
+    # Statistics of processes and clocks are shown with the devices and the timing.
     said = [(label, value) for label, value in result.summary()
             if not label.startswith(("clock of", "both together")) and not label.endswith("process")]
     page.figures([("verdict", Verdict("ended early", BAD) if result.failure else Verdict("whole path", GOOD)),
@@ -67,7 +67,7 @@ def _motion(result: FollowResult) -> Figure:
         for j in range(q_c.shape[1]):
             middle.plot(t, speeds[:, j], lw=0.8, label=f"joint {j + 1}")
             bottom.plot(t, off[:, j], lw=0.8)
-        # Above the picture it hides no curve.
+        # The legend stands above the picture, where it covers no curve.
         middle.legend(ncols=6, fontsize=9, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     middle.set_ylabel("speed [rad/s]")
     bottom.set(ylabel="off [mrad]", xlabel="controller's time [s]")

@@ -1,8 +1,8 @@
-"""Plays a joint path on an arm behind any maker's interface: slowly to its start, the path, to rest, all recorded.
+"""Executes a joint path on an arm behind any maker's interface: slowly to its start, along it, to rest, recorded.
 
-The guard of ``ideal_robot.execution.guard`` looks at every cycle of it: whether the arm goes where its commands lead,
-what a connected force sensor feels, what the link says. An arm that stands still is waited for, and the path goes on
-from where it is; whatever else is noticed brings the arm to rest, and back until nothing is felt.
+The guard of ``ideal_robot.execution.guard`` checks every cycle: whether the arm follows its commands, the force of a
+connected sensor, the state of the link. When the arm stands still, the path waits and continues from where it is; any
+other finding brings the arm to rest, and back until there is no contact.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ Worked = TypeVar("Worked")
 
 @dataclass(frozen=True, repr=False)
 class PathRun(Summarised):
-    """A path played on an arm.
+    """The result of a path executed on an arm.
 
     Attributes:
         recording: ``t`` [s] of the controller since it was connected, ``q_d_i``, ``q_c_i`` (handed over at ``t``),
             ``q_i`` and whatever else the controller reported at ``t``.
         failure: why it ended before the end of the path, or None.
-        counts: what happened on the link.
+        counts: statistics of the link.
         answer_times_ms: median, 99th percentile and maximum from reading a packet to its answer; NaN without any.
-        precautions: what the system granted for even timing.
+        precautions: privileges for even timing that the system granted.
         begun: rows of rest before the path.
         rows: rows of the path, rests included.
         answered: rows of the recording that were answered in time.
@@ -95,12 +95,12 @@ class PathRun(Summarised):
                 "motor_rms_error_mrad": None if len(self.recording.t) <= self.begun else self.errors_mrad()}
 
     def errors_mrad(self) -> Array:
-        """Root mean square of desired position minus motor angle, rest before the path left out ``(n,)`` [mrad]."""
+        """Root mean square of desired position minus motor angle, without the rest before the path ``(n,)`` [mrad]."""
         off = (self.recording.joints("q_d") - self.recording.joints("q"))[self.begun :]
         return np.asarray(1e3 * np.sqrt(np.mean(off**2, axis=0)))
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """What a person wants first."""
+        """The main figures as a table: titles and rows."""
         rows: list[list[Any]] = [["cycles answered", f"{self.answered} of {self.rows}"],
                                  *([in_words(key), value] for key, value in self.counts.items()
                                    if key != "cycles" and isinstance(value, int)),
@@ -125,7 +125,7 @@ class _Cycle:
 
 @dataclass(frozen=True)
 class Felt:
-    """A connected force sensor beside a path.
+    """A connected force sensor that is watched during a path.
 
     Attributes:
         source: its readings.
@@ -148,26 +148,26 @@ class _Shared:
 
 
 class PathPlayer:
-    """Plays one desired joint path through a feedforward to an arm behind a link.
+    """Executes one desired joint path through a feedforward on an arm behind a link.
 
     The command of the next cycle is computed while the controller is busy with this one, so that a packet is answered
-    at once; a feedforward that observes computes it between packet and answer. Where a cycle is lost the path waits for
-    it if the controller held the arm, and goes on if it did. Where a command would leave a limit the arm is brought to
-    rest on the path and the rest of the path is given up. Where the controller's override is below 100 % the path is
-    passed as much more slowly.
+    at once; a feedforward that observes computes it between packet and answer. In a lost cycle the path waits if the
+    controller stopped the arm, and continues if the arm continued. Where a command would leave a limit the arm is
+    brought to rest on the path and the rest of the path is given up. Where the controller's override is below 100 % the
+    path is passed more slowly by that factor.
 
     Args:
         link: the arm, not yet connected.
-        feedforward: what corrects the path.
+        feedforward: corrects the path.
         q_d: desired positions at the interpolation cycle ``(N, n)`` [rad], rest before and behind the path included.
         rest: rows of rest before the path.
-        meta: what the recording's metadata shall hold besides.
-        warnings: what its user shall know of the path before it is played.
-        recorded: what the recording shall have as desired where ``q_d`` are commands already ``(N, n)`` [rad].
-        led: whether the arm is led to the start from wherever it stands; else it has to stand there.
+        meta: further metadata of the recording.
+        warnings: warnings for the user before the path is executed.
+        recorded: desired positions for the recording where ``q_d`` already are commands ``(N, n)`` [rad].
+        led: whether the arm is moved to the start from any place; otherwise it has to rest there.
         response: impulse response of the arm's loop ``(L, n)``; None where none was identified.
         felt: force sensor; None without one.
-        patience: how long an arm that stands still is waited for [s].
+        patience: longest time to wait for an arm that stands still [s].
 
     Attributes:
         guard: looks at every cycle.
@@ -198,11 +198,11 @@ class PathPlayer:
         return self.guard.reason
 
     def stop(self, reason: str) -> None:
-        """Brings the arm to rest on the path from the next cycle on; to be called from anywhere."""
+        """Brings the arm to rest on the path from the next cycle on; may be called from any thread."""
         self.guard.stop(reason)
 
     def play(self, *, patience: float = 60.0, core: int | None = None, progress: Progress = silent) -> PathRun:
-        """Waits for the controller up to ``patience`` [s], then plays the path; what happened is in the result.
+        """Waits for the controller up to ``patience`` [s], then executes the path; returns what happened.
 
         Args:
             patience: how long the controller is waited for [s].
@@ -211,7 +211,8 @@ class PathPlayer:
 
         Raises:
             IdealRobotError: no controller came.
-            SceneError: the arm does not stand at the start of the path, or cannot be led there. Nothing has moved then.
+            SceneError: the arm does not stand at the start of the path, or cannot be moved there. The arm has not moved
+                then.
         """
         self.guard.patience = patience
         self._loaded()
@@ -220,24 +221,24 @@ class PathPlayer:
             return self.played(granted, progress)
 
     def played(self, granted: list[str], progress: Progress = silent) -> PathRun:
-        """Plays the path on a link that is connected.
+        """Executes the path on a connected link.
 
         Args:
-            granted: what the system granted for even timing.
+            granted: privileges for even timing that the system granted.
             progress: called now and then with the share that is done.
 
         Raises:
             SceneError: see ``play``.
         """
         self._loaded()
-        # The first answer changes nothing and needs no computing.
+        # The first answer repeats the command, which needs no computing.
         self.guard.begin(self.link.commanded)
         self.link.send(self.link.commanded)
         self._state = state = self.link.receive()
         self._time.zero = state.t
         self._time.clock.add(state.t, self.link.arrived)
         names = {name: np.shape(value) for name, value in state.columns.items()}
-        # Of each cycle time, desired and commanded position, measured position and torque, and what else is reported.
+        # Per cycle: time, desired and commanded position, measured position and torque, and further reports.
         log = RowLog(1 + 4 * self.link.robot.n + sum(int(np.prod(shape)) for shape in names.values()))
         log.reserve(len(self.q_d) + round((_SETTLING + 2.0 * LONGEST_STOP) / self.link.t_ipo))
         with self._watched():
@@ -249,7 +250,7 @@ class PathPlayer:
             except IdealRobotError as error:
                 self.stop(str(error))
                 return self._run(log, names, granted, self._answered())
-            # Another path may follow on the same link: until then the arm is held, which is counted no more.
+            # Another path may follow on the same link: until then the arm is commanded to rest, which is not recorded.
             run = partial(self._run, log, names, granted, self._answered())
             return self._meanwhile(run) if self.led else run()
 
@@ -369,19 +370,19 @@ class PathPlayer:
                 return
             before, state = state, self._received(now.q_c)
             if observes:
-                # What was measured changes the next command, which is then made between the two.
+                # Measurements change the next command, which is therefore computed between packet and answer.
                 assert self._commands is not None
                 self._commands.observe(state)
                 coming = next(cycles, None)
             passed = list[_Cycle]()
             for _ in range(self.link.gone_on):
-                # The controller went on meanwhile, and so does the path.
+                # The controller continued meanwhile, and so does the path.
                 if coming is not None and (later := next(cycles, None)) is not None:
                     self.link.skip(coming.q_c)
                     passed.append(coming)
                     coming = later
             for older in self.link.unanswered:
-                # What came too late for an answer was measured all the same.
+                # States that came too late for an answer are valid measurements.
                 i = round((older.t - before.t) / self.link.t_ipo) - 1
                 log.append(_row(older, passed[i] if i < len(passed) else now))
 
@@ -442,7 +443,7 @@ class PathPlayer:
                 break
             desired, q_c = commands.governed(np.tile(rows[-1], (self.feedforward.n_d, 1)))
             yield _Cycle(desired + shift[-1], q_c)
-        # What the last cycles of the path came to shows only now.
+        # The effects of the path's last cycles are only measured now.
         if self._reason is not None:
             yield from (_Cycle(q_c, q_c) for q_c in self.guard.leaving())
         return None if self._reason is not None or self.guard.held is None else len(rows) - 1

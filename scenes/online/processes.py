@@ -1,4 +1,4 @@
-"""Processes and the computer's attention: memory, interrupts, priority, and functions called in another process."""
+"""Process utilities: memory, interrupts, real-time priority, and functions called in another process."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-# Functions by name, for processes that need what the one that starts them shall not load.
+# Calls functions by name in processes that need modules which their starter shall not load.
 
 def called(name: str, *given: Any) -> Any:
-    """Calls a function of another process's own; its module is loaded there alone.
+    """Calls a function by its name in another process; its module is imported there only.
 
     Args:
         name: ``module:function``.
-        given: what it is called with.
+        given: its arguments.
     """
     module, _, function = name.partition(":")
     return getattr(importlib.import_module(module), function)(*given)
 
 
-# What processes of this computer take: memory and processor time, as the system tells; NaN where it does not.
+# Memory and processor time of processes, as the system reports them; NaN where it does not.
 
 def peak_memory(pid: int) -> float:
-    """Largest resident memory of a process [MB] since it began, or since ``give_back``; what it shares counts whole."""
+    """Largest resident memory of a process [MB] since it began, or since ``give_back``, shared parts included."""
     return _field(Path(f"/proc/{pid}/status"), "VmHWM")
 
 
 def memory_together(pids: Sequence[int]) -> float:
-    """Memory of processes now [MB]; what they share, libraries above all, counts once."""
+    """Memory of processes now [MB]; memory that they share, above all of libraries, is included once."""
     own, shared = 0.0, 0.0
     for pid in pids:
         file = Path(f"/proc/{pid}/smaps_rollup")
@@ -61,10 +61,10 @@ def _field(file: Path, name: str) -> float:
         return float("nan")
 
 
-# Memory that only loading took, given back before the arm is led.
+# Releases memory that only loading needed, before the arm moves.
 #
-# Loading compiled functions runs through much of the compiler's code, which no cycle needs again. The rehearsal that
-# follows touches what is needed, so that nothing is fetched while a controller waits.
+# Loading compiled functions runs through much of the compiler's code, which no cycle needs again. The simulated run
+# that follows loads what is needed, so that nothing is loaded while a controller waits.
 
 _DONTNEED = 4
 """``MADV_DONTNEED`` of Linux: pages of a file are read from it again when they are touched again."""
@@ -73,7 +73,7 @@ _DONTNEED = 4
 def give_back() -> float:
     """Drops pages of libraries' code and free memory of the heap; does nothing where the system is no Linux.
 
-    Returns the largest memory of this process until now [MB]; from now on it is counted anew.
+    Returns the largest memory of this process so far [MB] and resets it.
     """
     most = peak_memory(os.getpid())
     if not sys.platform.startswith("linux"):
@@ -83,7 +83,7 @@ def give_back() -> float:
     with suppress(OSError, ValueError, AttributeError):
         for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
             fields = line.split(maxsplit=5)
-            # Code alone: nothing was ever written there, so that the file holds all of it.
+            # Only pages of code, which are never written, so that the file has all of them.
             if len(fields) == 6 and fields[1] == "r-xp" and fields[5].startswith("/"):
                 begin, end = (int(place, 16) for place in fields[0].split("-"))
                 library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONTNEED)
@@ -93,7 +93,7 @@ def give_back() -> float:
     return most
 
 
-# What a computer can do so that no answer waits: garbage collection out of the cycle, priority, a core of its own.
+# Measures against late answers: no garbage collection in the cycle, real-time priority, a core of its own.
 
 PRIORITY = 50
 """Real-time priority of a process that leads an arm, of 1 to 99."""
@@ -103,10 +103,10 @@ _SWITCH = 1e-4
 
 @contextmanager
 def kept_from_collector() -> Iterator[None]:
-    """Puts aside what there is by now, garbage too: it is not looked through for circles among objects in the block.
+    """Excludes all present objects from garbage collection within the block.
 
-    A full collection looks at every object of numpy, numba and pinocchio, which takes some hundred milliseconds. Where
-    something is put aside already, it is left at that.
+    A full collection looks at every object of numpy, numba and pinocchio, which takes some hundred milliseconds. If
+    objects are excluded already, nothing changes.
     """
     if gc.get_freeze_count():
         yield
@@ -120,14 +120,13 @@ def kept_from_collector() -> Iterator[None]:
 
 @contextmanager
 def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[list[str]]:
-    """Yields what was granted, as a person reads it; at the end all is as before.
+    """Raises this thread's priority within the block; yields the granted privileges in words.
 
-    What is there now is kept from the collector, and nothing is collected within the block: a cycle makes no circles
-    among objects.
+    Garbage collection is off within the block, as cycles create no reference cycles.
 
     Args:
         core: processor core to keep to; None for any.
-        priority: real-time priority that is asked for, of 1 to 99.
+        priority: requested real-time priority, from 1 to 99.
     """
     granted = ["garbage collection out of the cycle"]
     interval, enabled = sys.getswitchinterval(), gc.isenabled()
@@ -181,17 +180,18 @@ def _kept_to(core: int) -> str:
     return f"core {core}"
 
 
-# Ctrl-C and SIGTERM bring the arm to rest on its path; before anything moves they end the program.
+# Ctrl-C and SIGTERM bring the arm to rest on its path; before the motion they end the program.
 
 @contextmanager
 def stopping_on_signals(stop: Callable[[str], None], begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
-    """Within the block either signal stops the arm; the handlers before are restored.
+    """Within the block, stops the arm on an interrupt or termination signal; restores the old handlers afterwards.
 
-    Signals come to the main thread alone: in another one the block runs without, and whoever started it stops the arm.
+    Only the main thread receives signals: in another one the block has no handlers, and its starter has to stop the
+    arm.
 
     Args:
-        stop: brings the arm to rest; is told why.
-        begun: whether there is an arm to be brought to rest; without one the program ends.
+        stop: brings the arm to rest; receives the reason.
+        begun: whether an arm is moving; without one the program ends.
     """
 
     def interrupt(number: int, _: object) -> None:

@@ -1,4 +1,4 @@
-"""What came of following on devices: nothing of it is the truth, which devices do not tell."""
+"""The result of following on devices; it has no true errors, as devices do not measure them."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class FollowResult(ShownRun):
     Attributes:
         recording: the controller's side of it: ``t``, ``q_d_i``, ``q_c_i``, ``q_i``, torques, line points, wrenches.
         figures: of the kind of scene.
-        devices: what each device did, and how its clock relates to this computer's.
-        timing: answers to the controller [ms], computing, what the system granted.
+        devices: statistics of each device, and how its clock relates to this computer's.
+        timing: answers to the controller [ms], computing, privileges granted by the system.
         planned: time [s] and planned deviation from the reference [m] of each cycle ``(N, 2)``.
-        left_behind: recording of a run before that was killed, where one was found.
+        left_behind: recording of an earlier run that was killed, if any.
     """
 
     scene: Scene
@@ -59,7 +59,7 @@ class FollowResult(ShownRun):
         return self.recording.plot()
 
     def answer(self) -> str:
-        """What came of the run in a sentence or two, with the numbers that a cell can say of itself."""
+        """The result of the run in a sentence or two, with the figures that a real cell can measure."""
         whole = "The whole path was followed" if self.failure is None else "The run ended early"
         said = [f"{whole}: {self.method} on devices, {len(self.recording.t)} cycles."]
         error = self.figures.get("plan_error_mm", {})
@@ -72,13 +72,13 @@ class FollowResult(ShownRun):
         return " ".join(said)
 
     def next_steps(self) -> list[tuple[str, str]]:
-        """See ``ShownRun.next_steps``."""
+        """The next steps, each a sentence and its command line; see ``ShownRun.next_steps``."""
         call = Call(self.recording_path or "RECORDING", self.scene.robot)
         return [("See what the model of this arm lacks.", f"ideal-robot diagnose {call}"),
                 ("Watch the run.", f"ideal-robot view {call}")]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The few figures a person wants first."""
+        """The main figures as rows of label and value."""
         rows = [("method", self.method), ("cycles", str(len(self.recording.t)))]
         link = self.devices.get("arm", {}).get("link", {})
         rows += [(f"packets {key}", Verdict(str(link[key]), BAD if link[key] else GOOD))

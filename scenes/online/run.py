@@ -1,4 +1,4 @@
-"""Follows on devices: opens them, calibrates, follows, stops on the path where it has to, writes down what was done."""
+"""Follows on devices: opens and calibrates them, follows, stops on the path where necessary, writes the results."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ REST = 0.3
 
 def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibration: Path | None = None,
            out: Path | None = None, progress: Progress = silent) -> FollowResult:
-    """Follows the scene's line or surface once, on devices.
+    """Follows the scene's line or surface once on devices.
 
     Args:
-        scene: from ``load_cell``; of its tables those of the world are not looked at.
+        scene: from ``load_cell``; its tables of the simulated world are not used.
         devices: which ones.
-        method: how what is sensed becomes commands; the scene's own if None.
+        method: method that turns sensor data into commands; the scene's own if None.
         calibration: file of the camera's calibration; where it is not there yet the camera is calibrated by moving.
             None: the camera is taken as the scene has it.
         out: folder of recording, page and figures; ``out/follow/NAME`` if None.
@@ -67,7 +67,7 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
 
     Raises:
         InputError: anything of this cannot be used. Nothing has moved then.
-        IdealRobotError: the arm did not come, or does not stand at the start.
+        IdealRobotError: the arm does not connect, or does not rest at the start.
     """
     folder = out or Path("out") / "follow" / scene.name
     job = _job(scene, devices, method, calibration)
@@ -91,7 +91,7 @@ def _followed(scene: Scene, devices: Devices, job: Job, method: str | None, cali
         if calibrated.failure is not None:
             return _kept(replace(calibrated, left_behind=before), folder)
         remove(folder)
-        # Planned on the surface that was found; the controller has to begin RSI anew.
+        # Planned on the calibrated surface; the controller has to restart RSI.
         job = _job(scene, devices, method, calibration)
         job.moved = moved
     if devices.check:
@@ -100,7 +100,7 @@ def _followed(scene: Scene, devices: Devices, job: Job, method: str | None, cali
     progress(0.0, "rehearsing")
     job.rehearse()
     at_start = max(at_start, give_back())
-    # What a cycle needs is there again before the first packet.
+    # Loads what a cycle needs before the first packet.
     job.rehearse()
     cycles = job.imagined_cycles()
     next(cycles)
@@ -286,7 +286,7 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
     return report
 
 
-# Scene files as a follower reads them: without the world, which a real cell's file need not hold.
+# Scene files as a follower reads them: without the simulated world, which a real cell's file need not have.
 
 FOLLOWED: dict[str, type[Scene]] = {"line": LineScene, "force": ForceScene}
 

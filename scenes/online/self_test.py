@@ -1,12 +1,12 @@
-r"""Whether this computer holds the controller's cycle, before anything moves.
+r"""Tests, before anything moves, whether this computer keeps up with the controller's cycle.
 
-The arm is held at rest while the job is computed as it will be, with sensors that show what is expected: each cycle is
-planned behind the last command, or before the answer where the job does so, and the controller says which answers came
-too late. m late ones of N are more than the share p that may be late where
+The arm is commanded to rest while the task is computed as in the run, with simulated sensors: each cycle is planned
+after the last command, or before the answer, as the task does it, and the controller reports late answers. m late ones
+of N are more than the share p that may be late where
 
 .. math:: P(X \ge m \mid X \sim B(N, p)) < \alpha
 
-so a computer that has no more of them is refused once in :math:`1 / \alpha` times.
+so a computer that is just fast enough is refused once in :math:`1 / \alpha` tests.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ BY_CHANCE = 1e-6
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What a test has shown.
+    """The result of the self-test.
 
     Attributes:
         cycles, late: answers, and those that came too late.
@@ -48,12 +48,12 @@ class SelfTest:
 
     @property
     def by_chance(self) -> float:
-        """Probability of at least so many late answers of a computer that just holds the cycle."""
+        """Probability that a computer that is just fast enough has at least so many late answers."""
         return 1.0 if not self.late else float(bdtrc(self.late - 1, self.cycles, LATE))
 
     @property
     def too_slow(self) -> bool:
-        """Whether this computer does not hold the cycle."""
+        """Whether this computer is too slow for the cycle."""
         return self.by_chance < BY_CHANCE
 
     @property
@@ -70,12 +70,11 @@ class SelfTest:
 
 
 def self_test(arm: LiveArm, cycles: Iterator[float], ahead: bool) -> SelfTest:
-    """Holds the arm for a while and computes the job meanwhile.
+    """Commands the arm to rest for a while and computes the task meanwhile; returns the late answers.
 
     Args:
         arm: connected, at rest.
-        cycles: computes a cycle of the job each time it is asked, and says how long that took [s]; one that ends begins
-            no other.
+        cycles: computes one cycle of the task per iteration and yields the time that it took [s].
         ahead: whether the job computes a cycle behind the command before, or else before its answer.
 
     Raises:

@@ -1,7 +1,7 @@
-"""The one task, whatever is sensed and wherever it runs: sense, estimate, plan, command ([L] Fig. 1).
+"""The task that all scenes share, simulated or on devices: sense, estimate, plan, command ([L] Fig. 1).
 
-A line, a surface, a contour, a line on a surface and sensors of the user's are lists of sensors over one follower;
-simulated or on devices is the ``RobotInterface``, the ``Camera`` and the ``ForceSensor`` that they are given.
+Following a line, a surface, a contour or a line on a surface differs in the sensors and in the follower. Simulation and
+devices differ in the ``RobotInterface``, the ``Camera`` and the ``ForceSensor``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from scenes.online.pacing import Pacing
 
 
 class Work(IntEnum):
-    """What has been done with what a sensor delivered: nothing, a part of it, or it is in the map now."""
+    """Progress on a sensor's data: nothing done, a part done, or fused into the map."""
 
     NOTHING = 0
     PREPARED = 1
@@ -38,13 +38,13 @@ BESIDE = 2.0
 
 
 class Sensor(ABC):
-    """What one device measures of the deviation from the reference, in its direction and with errors of its own.
+    """A sensor of the deviation from the reference, with its own direction and errors.
 
     Attributes:
         at_once: cycle from which on there is time to fuse between a controller's packet and its answer [s].
-        in_one: cycle from which on there is time to fuse and to plan anew behind one command [s]; in shorter ones one
-            thing is done at a time.
-        owes: whether more has been fused than was looked at whether the device lives.
+        in_one: cycle from which on there is time to fuse and to plan anew behind one command [s]; in shorter ones only
+            one of these is done per cycle.
+        owes: whether data have been fused since the last health check.
     """
 
     at_once = 0.0
@@ -52,10 +52,10 @@ class Sensor(ABC):
     owes = False
 
     def take(self, t: float) -> None:
-        """Takes what no answer may go without at ``t`` [s].
+        """Reads what must be known at ``t`` [s] before the command, such as a force above its limit.
 
         Raises:
-            PlanningError: what is sensed must end the motion.
+            PlanningError: the sensor data require a stop.
         """
         return
 
@@ -68,7 +68,7 @@ class Sensor(ABC):
         return
 
     def check(self, t: float) -> None:
-        """Raises ``PlanningError`` where what is followed has been lost by ``t`` [s]."""
+        """Raises ``PlanningError`` where the line or the surface has been lost by ``t`` [s]."""
         return
 
     def bears(self, t: float, q_d: Array) -> None:
@@ -76,30 +76,30 @@ class Sensor(ABC):
         return
 
     def request(self, t0: float, t1: float) -> None:
-        """Asks the device for what it shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        """Requests the device's measurements of the cycle from ``t0`` to ``t1`` [s]."""
         return
 
     def stood(self, t: float) -> None:
-        """The arm stood: what was measured before ``t`` [s] is of places that it was not expected at."""
+        """Notes that the arm stood still: data from before ``t`` [s] belong to unexpected places."""
         return
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
-        """A cycle that began at ``t0`` [s] is over.
+        """Notes the end of the cycle that began at ``t0`` [s].
 
         Args:
             t0: its begin [s].
-            measured: what the controller reported at its end.
+            measured: motor angles reported at its end.
             torque: joint torques of the contact that were expected ``(n_d, n)`` [N m].
         """
         return
 
     def away(self, q_d: Array) -> Array | None:
-        """What lets go of what is touched, see ``Task.away``; None where nothing is."""
+        """Change of the joint angles that releases a contact, see ``Task.away``; None without contact."""
         return None
 
 
 class ArmAngles(Protocol):
-    """Arm angles from motor angles."""
+    """Interface of estimates of arm angles from motor angles."""
 
     def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
         """Arm angles ``(n,)`` [rad] of the arm as drawn at the begin of a cycle.
@@ -114,16 +114,16 @@ class ArmAngles(Protocol):
 
 
 class Baseline(Protocol):
-    """What stands in the place of the planned path and of the ideal robot: no correction, or direct feedback."""
+    """A baseline instead of planning and ideal robot: no correction, or direct feedback."""
 
     def horizon(self, t: float, q_d: Array) -> Array:
-        """What is planned ``(n_d, n)`` [rad] from ``t`` [s] on, after ``q_d`` in the cycle before."""
+        """Desired positions ``(n_d, n)`` [rad] from ``t`` [s] on, given ``q_d`` of the cycle before."""
 
     def command(self, t: float, q_d: Array) -> Array | None:
-        """Commanded joint angles ``(n,)`` [rad]; None where the method's feedforward makes them of what is planned."""
+        """Commanded joint angles ``(n,)`` [rad]; None where the feedforward computes them from the plan."""
 
     def done(self, t: float) -> bool:
-        """See ``Follower.done``."""
+        """Whether the cycle that began at ``t`` [s] is the last one; see ``Follower.done``."""
 
 
 PRESSING = 0.1
@@ -131,20 +131,20 @@ PRESSING = 0.1
 
 
 class Task:
-    """Following with one method; ``scenes.online.cycle.play_cycles`` goes through its cycles.
+    """Following with one method; ``scenes.online.cycle.play_cycles`` runs its cycles.
 
     Args:
-        follower: makes the desired path of what the sensors fuse into its map.
+        follower: plans the desired path from the sensors' fused map.
         sensors: the more urgent first.
         method: how ``q_d`` becomes ``q_c``.
         feedforward: of the method.
-        arm_angles: what the arm does behind its motors.
+        arm_angles: estimates arm angles behind the gears.
         log: is written to.
         baseline: in the place of the planned path; None where the follower's is gone.
 
     Attributes:
-        arm: that is led on devices; None of one that is simulated, which needs no leading.
-        ahead: what is computed before a cycle's answer is asked for; None where all is done at once.
+        arm: the connected arm; None in simulation.
+        ahead: computation ahead of a cycle; None where all is done in the cycle.
     """
 
     def __init__(self, follower: Follower, sensors: Sequence[Sensor], method: SceneMethod, feedforward: Feedforward,
@@ -160,7 +160,7 @@ class Task:
         self.ahead: Ahead | None = None
 
     def lead(self, arm: LiveArm) -> None:
-        """Takes the arm that is led from now on: it rests at the start until its first cycle is planned."""
+        """Sets the connected arm, which rests at the start until its first cycle is planned."""
         ahead = Ahead(self, arm)
         if ahead.plans:
             arm.meanwhile(ahead.begin)
@@ -168,7 +168,7 @@ class Task:
         arm.between.append(ahead.work)
 
     def learn(self, moved: Iterable[RobotState]) -> None:
-        """A feedforward that adapts learns from what the controller reported when the arm moved last."""
+        """Lets an adaptive feedforward learn from the controller's reports of the last motion."""
         with RaisedBy(f"method {self.method.key}: observe"):
             for measured in moved:
                 self._state = self.feedforward.observe(self._state, measured)
@@ -179,7 +179,7 @@ class Task:
         return self.follower.q_start
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles at the begin of a cycle.
+        """Adds the motor angles at the begin of a cycle.
 
         Args:
             t: begin of the cycle [s].
@@ -193,7 +193,7 @@ class Task:
         self.follower.observe(t, passed)
 
     def passed(self, t: float, q: Array, q_d: Array) -> None:
-        """A cycle of the controller is over, of which there may be several in one of the path.
+        """Notes the end of a controller cycle; one cycle of the path may have several.
 
         Args:
             t: of the path at its end [s].
@@ -206,7 +206,7 @@ class Task:
         """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
 
         Raises:
-            PlanningError, LimitError: the path cannot go on; the arm is then stopped on what was planned last.
+            PlanningError, LimitError: the path cannot be continued; the arm is then stopped on the last plan.
         """
         if self.arm is not None:
             self.arm.check(t)
@@ -239,7 +239,7 @@ class Task:
         return q_c
 
     def request(self, t0: float, t1: float) -> None:
-        """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        """Requests the sensors' measurements of the cycle from ``t0`` to ``t1`` [s]."""
         log, follower = self.log, self.follower
         log.phase.append(follower.phase.value)
         log.s.append(follower.s_at(t0))
@@ -248,31 +248,31 @@ class Task:
             sensor.request(t0, t1)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Takes note of a cycle that is over; a feedforward that adapts learns from it.
+        """Notes the end of a cycle; an adaptive feedforward learns from it.
 
         Args:
             t0: its begin [s].
             t1: its end [s].
-            measured: what the controller reported at its end.
+            measured: motor angles reported at its end.
         """
         self.learn([measured])
         for sensor in self.sensors:
             sensor.ended(t0, measured, self._torque)
 
     def pacing(self, limits: Robot) -> Pacing | None:
-        """What leads an arm on that has stood, within its ``limits``; None of one that is simulated."""
+        """The pacing that continues the path after a stop, within ``limits``; None in simulation."""
         return None if self.arm is None else Pacing(self.arm, limits, self)
 
     def stood(self, t: float) -> None:
-        """The arm stood, and goes on at ``t`` [s]."""
+        """Notes that the arm stood still and continues at ``t`` [s]."""
         for sensor in self.sensors:
             sensor.stood(t + BESIDE * self.follower.robot.t_ipo)
 
     def away(self, q_d: Array) -> Array | None:
-        """What to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it presses on nothing at rest.
+        """Change of the joint angles ``(n,)`` [rad] while the arm brakes, so that it has no contact at rest.
 
-        From where it stands, where it has not followed its commands; None where it stays on its path. ``q_d``: where it
-        comes to rest ``(m, n)`` [rad].
+        Starts from the measured place where the arm has not followed its commands; None where no change is needed.
+        ``q_d``: where it comes to rest ``(m, n)`` [rad].
         """
         ways = [sensor.away(q_d) for sensor in self.sensors]
         self._lets_go = self._lets_go or any(way is not None for way in ways)
@@ -291,18 +291,17 @@ class Task:
 
 
 class Ahead:
-    """What is computed before a controller asks for the answer to its packet: behind the command of the cycle before.
+    """Computes a cycle ahead, after the command of the cycle before, so that the answer is not delayed.
 
-    What no answer waits for is fused as soon as the command of a cycle has gone: the sensors for which there is no time
-    before an answer, see ``Sensor.at_once``. Where there is none for any, the plan of the coming cycle is made there as
-    well; in the shortest cycles one thing is done at a time: a sensor fuses, the more urgent first, or its signs of
-    life are looked at. So it is where answers are behind, and then only the most urgent sensor is fused. A measurement
-    takes effect a cycle later for it; the map it goes into is one over places ([L] 4.3), to which its age makes no
-    difference.
+    After each command, the sensors are fused for which there is no time before an answer, see ``Sensor.at_once``. If
+    there is no time for any, the coming cycle is planned there as well. In the shortest cycles only one thing is done
+    per cycle: a sensor is fused, the most urgent first, or its health is checked. The same applies where answers are
+    late; then only the most urgent sensor is fused. A measurement takes effect one cycle later for it, which does not
+    matter to a map over places ([L] 4.3).
 
     Args:
         task: whose sensors fuse, and whose path is planned.
-        arm: that is led.
+        arm: the connected arm.
 
     Attributes:
         at_once: sensors that are fused between packet and answer.
@@ -321,13 +320,14 @@ class Ahead:
         self._failed: IdealRobotError | None = None
 
     def begin(self) -> None:
-        """Plans the first cycle: a whole new plan takes longer than an answer may wait."""
+        """Plans the first cycle, as a whole new plan takes longer than an answer may."""
         self._prepared = 0, self._task.follower.horizon(0.0)
 
     def taken(self, t: float) -> Array | None:
         """The horizon ``(n_d, n)`` [rad] that was prepared for ``t`` [s]; None where there is none.
 
-        Of several lost cycles that are made good at once, the first alone has one. Raises what went wrong meanwhile.
+        Of several lost cycles that are caught up at once, only the first has one. Raises an error that occurred
+        meanwhile.
         """
         if self._failed is not None:
             raise self._failed
@@ -336,11 +336,11 @@ class Ahead:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is done beforehand: the path does not go on by a cycle in each."""
+        """Whether nothing is computed ahead, as the path does not advance by one cycle in each."""
         return self._arm.paced
 
     def work(self) -> None:
-        """What is done once a command has gone; the next cycle is told if something goes wrong."""
+        """Does the computation after a command; an error is raised in the next cycle."""
         if self.idle:
             self._prepared = None
             return
@@ -356,7 +356,7 @@ class Ahead:
             self._failed = error
 
     def prepare(self, t: float) -> None:
-        """Fuses what has come by now, and plans the cycle that begins at ``t`` [s]."""
+        """Fuses the data that have arrived, and plans the cycle that begins at ``t`` [s]."""
         busy = self._done(t) == Work.FUSED and (self.pieces or self._arm.behind)
         self._prepared = round(t / self._T), self._task.follower.horizon(t, anew=not busy)
 

@@ -1,4 +1,4 @@
-"""The motions that an arm on a path is diagnosed from, and the changes of its model that a diagnosis suggests."""
+"""Diagnostic motions of an arm on a path, and the model changes that a diagnosis suggests."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ _SHOWN_BEHIND = "the arm angles, which are measured, show what a gear gives bett
 
 
 def changes(model: Model, found: Diagnosis, measured: Measured) -> tuple[tuple[Group, ...], tuple[Step, ...]]:
-    """What a diagnosis says of an arm and its model: all of it, and each cause alone; and what is not tried.
+    """Model changes that a diagnosis suggests, as groups to try, and those that are not tried, with reasons.
 
     Args:
         model: that the diagnosis was given.
         found: in a recording of the arm.
-        measured: what the arm measures.
+        measured: the quantities that the arm measures.
     """
     effects = [effect.fitted for effect in (*found.effects, *found.unknown)]
     reasons = [_not_tried(effect, measured) for effect in effects]
     refused = tuple(Step(said(effect.name, effect.joint), reason, places=places_of((effect,)))
                     for effect, reason in zip(effects, reasons, strict=True) if reason)
     acting = tuple(effect for effect, reason in zip(effects, reasons, strict=True) if not reason)
-    # Effects that are too small to be reported are in the extended model, too, and explain their part of the error.
+    # Effects too small to be reported are in the extended model, too, and explain their part of the error.
     more = () if found.model is None else found.model.effects[len(model.effects):]
     added = (*acting, *(effect for effect in more if effect not in effects and not _not_tried(effect, measured)))
     apart = [(Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in acting]
     if found.model is None or found.taken_for != TYPE:
-        # Of the same arm the parameters are what they were.
+        # The groups are of the same arm, so earlier parameters are kept.
         together = (Form.adding("all that was found", added),) if added else ()
         return (Group(together, tuple(apart)),), refused
     other = replace(found.model, effects=model.effects)
@@ -65,7 +65,7 @@ def _not_tried(effect: FittedEffect, measured: Measured) -> str:
     return _SHOWN_BEHIND if change.of_gear else ""
 
 
-# The motion of every round, and the one that a diagnosis asks for.
+# The diagnostic motion of every round, and the one that a diagnosis requests.
 
 _BEYOND = 1.05
 """Of a path's range that is covered: a path turns round at its ends, and of places where it has never been the motion
@@ -75,7 +75,7 @@ can say nothing of what depends on place."""
 def diagnostic_motion(cell: PathCell) -> JointPath:
     """All joints about the path's postures, at full, half and a fifth of the path's speed, one after another."""
     fast = covering(training_path(cell.path, cell.world.t_ipo).q_d, cell.path.q_d, cell.robot)
-    # Wider is faster.
+    # A wider motion is faster, so it is slowed down accordingly.
     fastest = float(np.max(np.abs(np.diff(fast, axis=0)) / (cell.world.t_ipo * cell.robot.v_max)))
     q_d = at_speeds(fast, tuple(slowness * max(1.0, fastest) for slowness in (1.0, 2.0, 5.0)))
     t = cell.world.t_ipo * np.arange(float(len(q_d)))
@@ -84,7 +84,7 @@ def diagnostic_motion(cell: PathCell) -> JointPath:
 
 
 def covering(motion: Array, path: Array, robot: Robot) -> Array:
-    """A motion whose joints reach to both ends of a path: those that do not are widened and centred on its range.
+    """The motion, widened and centred so that each joint covers its range on a path.
 
     Args:
         motion: joint angles ``(M, n)`` [rad].
@@ -103,13 +103,13 @@ def covering(motion: Array, path: Array, robot: Robot) -> Array:
 
 @dataclass(frozen=True)
 class AskedMotion:
-    """What a diagnosis asked for, and what came of it.
+    """A motion that a diagnosis requested, with its result.
 
     Attributes:
         round: from 1.
         plan: pairs to be distinguished and the motion; None where none lies within the limits.
         reason: why there is no motion; empty where there is one.
-        recording, diagnosis: of the motion, where it was played.
+        recording, diagnosis: of the motion, where it was run.
     """
 
     round: int
@@ -127,7 +127,7 @@ class AskedMotion:
                 "played": self.recording is not None, "reason": self.reason or None, "found": effects}
 
     def table(self) -> list[list[Any]]:
-        """A row a pair: cause, rival, σ before and planned, whether the motion distinguishes them."""
+        """One row per pair: cause, rival, σ before and planned, whether the motion distinguishes them."""
         return [] if self.plan is None else [
             [pair.cause, pair.rival or "none", pair.before.sigma, pair.planned.sigma,
              "yes" if pair.told_apart else pair.only] for pair in self.plan.pairs]
@@ -135,13 +135,13 @@ class AskedMotion:
 
 def asked_motion(cell: PathCell, found: Diagnosis, moved: Recording, measured: Measured, round_: int,
                  progress: Progress = silent) -> AskedMotion | None:
-    """Plans, plays and diagnoses what a diagnosis asks for; None where it asks for nothing.
+    """Plans, runs and diagnoses the motion that a diagnosis requests; None where it requests none.
 
     Args:
         cell: path, arm and present model.
-        found: what the diagnosis found with that model.
-        moved: the recording it was found in.
-        measured: what the arm measures.
+        found: the diagnosis with that model.
+        moved: the diagnosed recording.
+        measured: the quantities that the arm measures.
         round_: from 1.
         progress: called with the fraction done.
     """

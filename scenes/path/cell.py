@@ -1,4 +1,4 @@
-"""A path scene from its begin to its result: the cell, the feedforward of each method, one play, what came of it."""
+"""A path scene: the cell, the feedforward of each method, one run, and its result."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ TWO_DOF = ("y", "z")
 
 @dataclass(frozen=True)
 class Play:
-    """One play of a path.
+    """The result of one run along a path.
 
     Attributes:
-        errors: of the true TCP while the path counts.
-        motor_errors: of the TCP the motor angles tell of, elastic gears unseen: what [G] could measure.
+        errors: errors of the true TCP along the path.
+        motor_errors: errors of the TCP computed from motor angles, without gear deflection, as [G] could measure them.
         t, tcp: the true TCP positions ``(M,)`` [s], ``(M, 3)`` [m].
         q_c: commands handed over ``(N, n)`` [rad].
         q_a, q_m: true arm and motor angles at the cycles ``(N, n)`` [rad].
         recording: what the controller logged, with the external device's columns.
         cycle_times: of the feedforward ``(N,)`` [s].
-        wall: elapsed time of the play [s].
+        wall: elapsed time of the run [s].
         state: the feedforward's last state.
     """
 
@@ -75,13 +75,13 @@ class Play:
 
 def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, rng: np.random.Generator
          ) -> Play:
-    """Plays ``path`` once, from rest at its start.
+    """Runs ``path`` once, from rest at its start.
 
     Args:
         robot: the arm as its data sheet has it.
         world: the arm as it is.
-        path: what is played.
-        feedforward: what corrects it.
+        path: the path.
+        feedforward: corrects the commands.
         rng: of the arm's noise.
     """
     q_d = path.q_d
@@ -97,7 +97,7 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
         tcp = arm.tcp_path()[1]
         of_motors = np.array([arm.tcp_of(q).translation for q in history["q_m"]])
     every = round(world.t_ipo / (history["t"][1] - history["t"][0]))
-    # The log has several rows a cycle: the desired position of each is that of its own time, not of its cycle.
+    # The log has several rows per cycle: each is compared with the desired position of its own time.
     wanted = interpolated(recording.t, path.t, q_d)
     columns = {**recording.columns, **{f"q_d_{i + 1}": wanted[:, i].copy() for i in range(robot.n)}}
     wanted_t, wanted_x = path.t[path.counts], path.x_d[path.counts]
@@ -110,12 +110,12 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
 
 
 def measured_errors(robot: Robot, path: JointPath, recording: Recording, source: str) -> Array:
-    """Joint errors ``q_d - q (N, n)`` [rad] that learning gets, from what a controller or an external device logged.
+    """Joint errors ``q_d - q (N, n)`` [rad] for learning, from the log of a controller or of an external device.
 
     Args:
         robot: kinematics.
-        path: what was wanted.
-        recording: of a play, from its start on, at a whole fraction of the interpolation cycle.
+        path: the desired path.
+        recording: of a run, from its start on, at a whole fraction of the interpolation cycle.
         source: ``motor``, ``arm``, ``tcp`` or ``two_dof``.
     """
     every = round((path.t[1] - path.t[0]) / float(np.median(np.diff(recording.t))))
@@ -128,7 +128,7 @@ def measured_errors(robot: Robot, path: JointPath, recording: Recording, source:
     desired = [fk(q) for q in path.q_d]
     error = pose_errors(desired, [pin.SE3(R, x) for R, x in zip(turned.as_matrix(), position, strict=True)])
     axes = AXES if source == "tcp" else TWO_DOF
-    # What two degrees of freedom cannot tell: controllers lag alike, by tens of milliseconds; what is left is small.
+    # Controllers delay the two measured degrees of freedom alike, by tens of milliseconds; the residual is small.
     speed = np.gradient(path.q_d, path.t, axis=0)
     return joint_errors(robot, path.q_d, error[:, [AXES.index(axis) for axis in axes]], axes=axes,
                         prior=3e-4 + 5e-4 * np.abs(speed), common=0.02 * speed)
@@ -136,7 +136,7 @@ def measured_errors(robot: Robot, path: JointPath, recording: Recording, source:
 
 @dataclass(frozen=True, repr=False)
 class PathResult(ShownRun):
-    """One path played with one method; ``world`` holds the settings of its world."""
+    """The result of one path with one method; ``world`` holds the settings of its world."""
 
     scene: PathScene
     method: str
@@ -178,27 +178,27 @@ class PathResult(ShownRun):
         }
 
     def plot(self) -> Figure:
-        """How far the tool is from where it should be at the time, axis by axis, while the path is under way."""
+        """Figure of the tool's time-matched error, axis by axis, along the path."""
         t = self.path.t[self.path.counts]
         off = 1e3 * (interpolated(t, self.played.t, self.played.tcp) - self.path.x_d[self.path.counts])
         return over_time(t, [(f"{axis} [mm]", [(self.method, off[:, i])]) for i, axis in enumerate("xyz")],
                          self.scene.title)
 
     def next_steps(self) -> list[tuple[str, str]]:
-        """See ``ShownRun.next_steps``."""
+        """The next steps, each a sentence and its command line; see ``ShownRun.next_steps``."""
         return [("See what each method is worth on this path.", f"ideal-robot compare {as_typed(self.scene)}"),
                 ("Correct a path of your own arm.",
                  "ideal-robot precorrect PATH.csv --model MODEL.json -o corrected.csv")]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The few figures a person wants first."""
+        """The main figures as rows of label and value."""
         errors = [(f"{figure} {kind.replace('_', '-')}", f"{1e3 * getattr(getattr(self.errors, kind), figure):.3f} mm")
                   for kind in ("time_matched", "aligned", "geometric") for figure in ("E_car", "E_max")]
         return [("method", self.method), ("speed", f"{self.scene.speed:g} m/s"), *errors,
                 ("delay", f"{1e3 * self.errors.delay:.2f} ms")]
 
 
-# What the scene needs before anything moves, and the feedforward of each method for its path.
+# Sets up a path scene, and makes the feedforward of each method for its path.
 
 def path_methods() -> tuple[str, ...]:
     """Every key that ``--method`` takes, settings included."""
@@ -208,11 +208,12 @@ def path_methods() -> tuple[str, ...]:
 
 @dataclass
 class PathCell:
-    """One path in one world: makes the feedforward of each method for it, and keeps what is expensive.
+    """One path in one world: makes the feedforward of each method for it, and caches slow results.
 
     Attributes:
-        robot, world, model, path: what it works on; ``world`` says whether the planner's delay is in force.
-        learn_from: what learning measures, see ``PathScene``.
+        robot, world, model, path: the arm, its world, its model and its path; ``world`` says whether the planner's
+            delay is active.
+        learn_from: the measurement that learning uses, see ``PathScene``.
         seed: of the arm's noise.
     """
 
@@ -230,11 +231,11 @@ class PathCell:
         return int(self.world.correction_delay)
 
     def loop(self) -> Loop:
-        """The identified closed loop in this world's mode of the path planner."""
+        """The identified closed loop, with or without the path planner's delay as in this world."""
         return loop_model(self.model, self.robot, delay=self.delay)
 
     def play(self, feedforward: Feedforward, path: JointPath | None = None) -> Play:
-        """Plays a path; every play has noise of its own."""
+        """Runs a path once, with new noise."""
         self.plays += 1
         rng = np.random.default_rng([self.seed, self.delay, self.plays])
         return play(self.robot, self.world, path or self.path, feedforward, rng)
@@ -251,7 +252,7 @@ class PathCell:
 
     @cached_property
     def practice(self) -> Practice:
-        """Plays on this arm before the path counts, and what was learned in them."""
+        """Runs on this arm before the path, and what was learned in them."""
         return Practice(self._rehearsed, self.robot)
 
     def learned(self, progress: Progress = silent) -> Learned:
@@ -283,7 +284,7 @@ def without_tcp(q_d: Array, t_ipo: float) -> JointPath:
 
 
 def set_up(scene: PathScene, *, delay: bool, model: Model | None = None) -> PathCell:
-    """Everything a path scene needs, with or without the standard path planner's delay.
+    """Sets up a path scene, with or without the standard path planner's delay.
 
     Args:
         scene: the scene.

@@ -1,7 +1,7 @@
-"""The closing of a path: play, diagnose a motion about the path, extend the model, play again.
+"""Closing with a path: run, diagnose a motion about the path, extend the model, run again.
 
-The scene's world holds an effect that the model does not know. The oracle knows its name and joint, and estimates its
-size from the same recording; a size that makes the path worse it leaves out.
+The scene's world holds an effect that the model does not know. The run ``oracle`` knows its name and joint, and
+estimates its size from the same recording; a size that makes the path worse is not used.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ _SIGMAS = 2.0
 
 def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """See ``CloseLoop.__call__``: plays a path, and finds what its model misses from a diagnostic motion.
+    """Runs a path, diagnoses what the model lacks from a further motion; see ``CloseLoop.__call__``.
 
-    ``ask``: whether the motion that a diagnosis asks for is played before the loop gives up.
+    ``ask``: whether the motion that a diagnosis requests is run before the loop gives up.
     """
     checked = checked_measured(measured)
     undeclared = undeclared_effects(scene, arm_of(scene.robot).n)
-    # An own model is of the arm as it was before.
+    # An own model is identified from the arm without the undeclared effects.
     own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
     cell = set_up(scene, delay=False, model=model_for(own, arm_of(scene.robot), progress))
     subject = ArmOnPath(cell, checked, ask, drives=DRIVES in undeclared)
@@ -82,13 +82,14 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
 
 def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], *, oracle: Feedforward | None = None,
            rounds_at_most: int = ROUNDS, out: Path | None = None, progress: Progress = silent) -> Closing:
-    """Closes the loop on an arm that is set up: it may be one that no scene file describes.
+    """Closes the loop on an arm that is already set up, also one without a scene file.
 
     Args:
-        scene: whose path the arm plays.
+        scene: the scene with the path.
         subject: the path, the arm and the model as it was.
         undeclared: effects that the arm has and the model does not know: name, joint.
-        oracle: plays what an oracle knows of the arm; None: name and joint, and the size from the first recording.
+        oracle: runs the path with the true effects; None: their names and joints are known, their sizes are estimated
+            from the first recording.
         rounds_at_most: of finding and trying.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
@@ -106,10 +107,11 @@ def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], 
         named = tuple(place for place in undeclared if place != DRIVES)
         told = known if subject.anew is None else subject.anew.change(known, before)
         fitted = subject.play(with_named_effects(moved, cell.robot, told, named) if named else told).errors
-        # Told of what this arm does not measure, it finds any size: nobody would leave that in the loop.
+        # For effects that this arm does not measure the oracle's fit is arbitrary; a fit that makes the path worse is
+        # not used.
         oracle_errors = min(fitted, before.errors, key=lambda errors: (
             errors.time_matched if DRIVES in undeclared else errors.aligned).E_car)
-    # Where the path is late, lateness counts.
+    # Where controllers cause a delay, the time-matched error is reported.
     timed = DRIVES in undeclared
     plays = {name: played(name, errors, timed=timed) for name, errors in
              (("before", before.errors), ("after", done.run.errors), ("oracle", oracle_errors))}
@@ -122,12 +124,12 @@ def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], 
 
 
 class ArmOnPath(Subject[Play]):
-    """A path and the arm that plays it.
+    """A path and its arm, as the subject of a closing.
 
     Args:
         cell: path, arm and the model as it was.
-        measured: what the arm measures.
-        ask: whether the motion that a diagnosis asks for is played before the loop gives up.
+        measured: the quantities that the arm measures.
+        ask: whether the motion that a diagnosis requests is run before the loop gives up.
         drives: whether the joint controllers may be others than the model's.
     """
 
@@ -138,20 +140,20 @@ class ArmOnPath(Subject[Play]):
         self.cell, self._known, self.measured, self._ask, self._round = cell, cell.model, measured, ask, 0
 
     def play(self, model: Model) -> Play:
-        """See ``Subject.play``."""
+        """Runs the motion with a model; raises ``IdealRobotError`` where that is not possible; see ``Subject.play``."""
         tried = dataclasses.replace(self.cell, model=model)
         return tried.play(tried.feedforward(IDEAL))
 
     def find(self, model: Model, run: Play, progress: Progress) -> Found:
-        """See ``Subject.find``."""
-        # The run takes no part in the diagnosis: it decides afterwards what stays.
+        """Diagnoses what the model lacks, from the last run or from a motion of its own; see ``Subject.find``."""
+        # The run is not diagnosed: it decides afterwards which changes are kept.
         self.cell, self._round = dataclasses.replace(self.cell, model=model), self._round + 1
         played = self.cell.play(PassThrough(self.cell.world.t_ipo), path=diagnostic_motion(self.cell))
         moved = visible(played.recording, self.measured)
         if self._drives and self.anew is None:
             self.anew = controllers_anew(self._known, moved, self.cell.robot)
             if self.anew is not None:
-                # What the drives do comes before what is looked for in their torques.
+                # The joint controllers are changed before other effects are searched in their torques.
                 return Found(None, moved, (Group((self.anew,)),))
         return self._suggested(diagnose(moved, self.cell.robot, model=model, progress=progress), moved)
 
@@ -159,11 +161,11 @@ class ArmOnPath(Subject[Play]):
         return Found(diagnosis, moved, *changes(self.cell.model, diagnosis, self.measured))
 
     def readings(self, before: Play, after: Play, known: Model, model: Model) -> list[tuple[Array, Array]]:
-        """See ``Subject.readings``."""
+        """Measured deviations ``(N,)`` or ``(N, c)`` of two runs [SI]; see ``Subject.readings``."""
         if model.controller is not self.cell.model.controller or model.command is not self.cell.model.command:
-            # When the arm comes to a place is what controllers are for.
+            # Controllers affect when the arm reaches a place, so time-matched errors are compared.
             return [(self._in_time(before), self._in_time(after))]
-        # Both with the same idea of what the gears carry, by each doubt of it.
+        # Both runs are evaluated with the same assumed gear torques, for each assumed error of them.
         loads = carried(model.effects[len(self._known.effects):])
         path, doubts = self.cell.path, doubts_of(loads) if self.measured == "motor" else (0.0,)
         recordings = [visible(run.recording, self.measured) for run in (before, after)]
@@ -178,10 +180,10 @@ class ArmOnPath(Subject[Play]):
         return np.asarray(robot.tool_places(q) - robot.tool_places(path.q_d))[path.counts]
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: Play) -> tuple[list[int], str]:
-        """See ``Subject.foreseen``."""
+        """Indices of the forms to run, the most promising first, and why there are none; see ``Subject.foreseen``."""
         if DRIVES in forms[0].places:
             return super().foreseen(forms, models, model, run)
-        # A change that explains less of the path error than the model as it is cannot correct it.
+        # A change that explains less of the path error than the present model cannot correct it.
         present = self._left(model, run)
         compared = [Comparison.of(present, self._left(extended, run)) for extended in models]
         order = sorted(range(len(forms)), key=lambda k: compared[k].after)
@@ -199,7 +201,7 @@ class ArmOnPath(Subject[Play]):
             return np.empty(0)
 
     def asked(self, found: Found, model: Model, run: Play, progress: Progress) -> Found | None:
-        """See ``Subject.asked``."""
+        """The result of a further motion after a round without success; see ``Subject.asked``."""
         if not self._ask or self.plan is not None or found.diagnosis is None:
             return None
         self.plan = asked_motion(self.cell, found.diagnosis, found.recording, self.measured, self._round, progress)
@@ -208,7 +210,7 @@ class ArmOnPath(Subject[Play]):
         return self._suggested(self.plan.diagnosis, self.plan.recording)
 
     def section(self, page: Report) -> None:
-        """See ``Subject.section``."""
+        """Adds the sections about diagnostic motions to the page of the closing."""
         if self.plan is not None:
             page.heading("The motion that the diagnosis asked for")
             page.table(["cause", "or", "recorded σ", "planned σ", "distinguishable"], self.plan.table(),
@@ -218,12 +220,12 @@ class ArmOnPath(Subject[Play]):
 
 
 def played(name: str, errors: PathErrors, *, timed: bool = False) -> Played:
-    """A path in the result: what it was played with, and errors of the true TCP.
+    """The true errors of a run on a path for the report, with the name of its model.
 
     Args:
         name: of the model.
         errors: of the true TCP.
-        timed: whether the error that is told is the time-matched one.
+        timed: whether the reported error is the time-matched one.
     """
     sizes = (errors.time_matched.E_car, errors.aligned.E_car, errors.geometric.E_car, errors.aligned.E_max)
     told = errors.time_matched if timed else errors.aligned
@@ -233,13 +235,13 @@ def played(name: str, errors: PathErrors, *, timed: bool = False) -> Played:
 
 
 def carried(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
-    """Those that change what the gears carry."""
+    """The effects that change the gear torques."""
     changes = [(effect, effect.effect.loop_change(effect.coefficients, effect.theta)) for effect in effects]
     return tuple(effect for effect, change in changes if change.body or change.gravity is not None)
 
 
 def doubts_of(loads: tuple[FittedEffect, ...]) -> tuple[float, ...]:
-    """Shares by which what loads bend may be more than the known gears give, where motor angles alone are measured."""
+    """Relative errors of the deflection by added loads that have to be assumed if only motor angles are measured."""
     if not loads:
         return (0.0,)
     doubt = min(float(np.hypot(_DOUBT_OF_GEARS, max(doubt_of_load(load) for load in loads))), 1.0)
@@ -247,8 +249,8 @@ def doubts_of(loads: tuple[FittedEffect, ...]) -> tuple[float, ...]:
 
 
 def doubt_of_load(effect: FittedEffect) -> float:
-    """Share by which what an effect puts on the gears may be wrong, by its own standard deviation."""
-    # Of a body its mass stands for all of it, and of gravity its two components: moments have other units.
+    """Relative error of the gear torque of an effect, from its own standard deviation."""
+    # A body is represented by its mass, and gravity by its two components, as moments have other units.
     change = effect.effect.loop_change(effect.coefficients, effect.theta)
     count = 1 if change.body else 2 if change.gravity is not None else len(effect.coefficients)
     size = float(np.linalg.norm(effect.coefficients[:count]))
@@ -256,18 +258,18 @@ def doubt_of_load(effect: FittedEffect) -> float:
 
 
 def left_unexplained(cell: PathCell, model: Model, run: Play, measured: Measured) -> Array:
-    """Distance between the measured joints and those of a model's loop on the same commands, at the tool ``(N, 3)``.
+    """Distance at the tool between the measured joints and a simulated loop's on the same commands ``(N, 3)`` [m].
 
-    As of an aligned path error, a constant difference and a constant delay do not count [m].
+    A constant difference and a constant delay are removed, as in an aligned path error.
 
     Args:
         cell: path, arm and how commands reach it.
-        model: whose loop is played.
-        run: what the arm did.
+        model: the model whose loop is simulated.
+        run: the run of the arm.
         measured: motor angles where nothing else is measured, else arm angles.
 
     Raises:
-        IdealRobotError: the loop of that model cannot be played.
+        IdealRobotError: the loop of that model cannot be simulated.
     """
     motion = simulate(loop_model(model, cell.robot, delay=cell.delay), run.q_c)
     angles = run.recording.joints("q" if measured == "motor" else "qa")

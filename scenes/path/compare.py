@@ -1,4 +1,4 @@
-"""Plays a path with one method or several, with and without the path planner's delay ([G] sections 4 and 5)."""
+"""Runs a path with one method or several, with and without the path planner's delay ([G] sections 4 and 5)."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _ON_THE_ARM = ("learned", *(f"learned-{steps}" for steps in range(1, ITERATIONS)
 
 
 def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress: Progress) -> PathResult:
-    """Plays the scene's path with one method; nothing is written.
+    """Runs the scene's path with one method without writing files.
 
     Args:
-        scene: what to play.
+        scene: the scene.
         cell: from ``set_up`` of the scene, with the planner's delay as the method's key says.
         method: how the path is corrected.
         progress: called with the fraction done.
@@ -49,7 +49,7 @@ def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress:
 
 @dataclass(frozen=True, repr=False)
 class PathComparison(ShownTable):
-    """Several methods on the same path, by their keys."""
+    """The results of several methods on the same path, by their keys."""
 
     scene: PathScene
     runs: dict[str, PathResult]
@@ -59,7 +59,7 @@ class PathComparison(ShownTable):
 
     @property
     def reference(self) -> PathResult:
-        """What reductions are relative to: no correction, or the first method where that is not among them."""
+        """The run that reductions are relative to: no correction, or the first method where that is missing."""
         return self.runs.get(NONE) or next(iter(self.runs.values()))
 
     def reduction(self, method: str) -> dict[str, dict[str, float]]:
@@ -73,7 +73,7 @@ class PathComparison(ShownTable):
         return reductions
 
     def motor_reduction(self, method: str) -> dict[str, float]:
-        """Reduction of the aligned error that motor angles show [%]: what [G] could measure, gears unseen."""
+        """Reduction of the aligned error of the motor angles [%], without gear deflection, as [G] could measure it."""
         before, after = (run.played.motor_errors.aligned for run in (self.reference, self.runs[method]))
         return {name: reduction_percent(getattr(before, name), getattr(after, name)) for name in ("E_car", "E_max")}
 
@@ -93,7 +93,7 @@ class PathComparison(ShownTable):
         }
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a method, what fits a terminal: errors at the tool and as motor angles show them, and reductions."""
+        """The methods as a table for a terminal: errors at the tool and of the motor angles, and reductions."""
         paper = self.scene.paper.E_car_reduction_percent
         columns = ["method", "E_car [mm]", "aligned E_car [mm]", "aligned E_max [mm]", "E_car less [%]",
                    "motors' E_car [mm]", "motors' E_max [mm]", "paper: E_car less [%]"]
@@ -103,7 +103,7 @@ class PathComparison(ShownTable):
                           paper.get(method)] for method, run in self.runs.items()]
 
     def full_table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a method: errors in mm, reductions in per cent, the paper's beside them."""
+        """The methods as a table: errors in mm, reductions in per cent, beside those of the paper."""
         columns = ["method", "E_car t.-m. mm", "aligned", "geometric", "E_max t.-m. mm", "aligned", "delay ms",
                    "E_car less %", "E_max less %", "motors' E_car less %", "paper E_car %", "paper E_max %"]
         paper = self.scene.paper
@@ -119,12 +119,12 @@ class PathComparison(ShownTable):
 
 
 def compare_paths(scene: PathScene, methods: Sequence[SceneMethod], *, progress: Progress = silent) -> PathComparison:
-    """Plays the scene's path with each method; reductions are relative to no correction without the planner's delay.
+    """Runs the scene's path with each method; reductions are relative to no correction without planner's delay.
 
-    That is the smaller error of the two uncorrected plays, so the stricter measure.
+    That is the smaller error of the two uncorrected runs, so the stricter measure.
 
     Args:
-        scene: what to play.
+        scene: the scene.
         methods: in the order of the table; a key with ``-delay`` keeps the planner's delay in force.
         progress: called with the fraction done.
     """

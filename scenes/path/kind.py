@@ -1,4 +1,4 @@
-"""What scenes of kind ``path`` offer: play with one method, compare several, close the loop."""
+"""The functions of scenes of kind ``path``: run, compare methods, close the loop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHARES = {"setting up": 0.05, "playing": 0.52, "report": 0.43}
 
 
 def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent) -> PathResult:
-    """See ``Play.__call__``: plays the scene's path with one method."""
+    """Runs the scene's path with one method; see ``Play.__call__``."""
     chosen = method_of(method or scene.method, path_methods())
     steps = Steps(progress, SHARES)
     steps.begin("setting up")
@@ -33,7 +33,7 @@ def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progre
 
 def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> PathComparison:
-    """See ``Compare.__call__``: where none are asked for, all methods, and the settings that a paper has figures of."""
+    """Compares methods; by default all, with the settings that a paper has figures of. See ``Compare.__call__``."""
     paper = (*scene.paper.E_car_reduction_percent, *scene.paper.E_max_reduction_percent)
     left_out = [key for key in path_methods() if SETTING in key and key not in paper]
     comparison = compare_paths(scene, compared(methods, path_methods(), left_out), progress=progress)

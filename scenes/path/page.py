@@ -1,4 +1,4 @@
-"""The page about one path with one method, and the one that compares all of them."""
+"""The pages of path scenes: one method, and all methods compared."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def path_replay(result: PathResult) -> Replay | None:
     robot = arm_of(result.scene.robot)
     q = played.q_a[: len(path.t)]
     t = path.t[: len(q)]
-    # Cycle by cycle: the desired position of a cycle is to be reached at its time stamp.
+    # The desired position of a cycle is to be reached at its time stamp, so it is interpolated.
     tool = interpolated(t, played.t, played.tcp)
     counts = path.counts[: len(q)]
     error = np.where(counts, np.linalg.norm(tool - path.x_d[: len(q)], axis=1), np.nan)
@@ -130,7 +130,7 @@ def path_figure(results: list[PathResult]) -> Figure:
     path = results[0].path
     x_d, t = path.x_d[path.counts], path.t[path.counts]
     centre = x_d.mean(axis=0)
-    # The plane of the path, seen from the robot: to the right, and up or ahead.
+    # The plane of the path, seen from the robot: right, and up or ahead.
     normal = np.linalg.svd(x_d - centre, full_matrices=False)[2][2]
     normal *= np.sign(normal[2]) if abs(normal[2]) > 1e-6 else -np.sign(normal[0])
     right = np.array([0.0, -1.0, 0.0]) + normal * normal[1]
@@ -166,7 +166,7 @@ def deviation_figure(results: list[PathResult], kind: str) -> Figure:
 
 
 def learning_figure(comparison: PathComparison) -> Figure:
-    """Error of each play of learning, beside what the model-based methods reach without any."""
+    """Figure of the error of each learning run, beside those of the model-based methods."""
     figure = Figure(figsize=(4.6, 3.2))
     axes = figure.add_subplot()
     plays = ["none", *(f"learned-{p}" for p in range(1, 4)), "learned"]

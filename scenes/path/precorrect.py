@@ -57,7 +57,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
 
 
 def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
-    """The robot asked for, else the shipped one that the model names.
+    """The robot of that name or file; by default the shipped one that the model names.
 
     Args:
         model: identified model.
@@ -72,7 +72,7 @@ def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
 
 
 def played(result: PrecorrectedPath, arm: Robot, seed: int, *, delay: bool = False) -> tuple[Array, Array]:
-    """What the simulated arm makes of the corrected path, and of the path itself.
+    """Arm angles of the simulated arm on the corrected path, and on the uncorrected one.
 
     Args:
         result: the corrected path.
@@ -96,7 +96,7 @@ def played(result: PrecorrectedPath, arm: Robot, seed: int, *, delay: bool = Fal
 
 
 def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None) -> tuple[list[str], list[list[Any]]]:
-    """One row a joint; ``measured``: errors with the corrected path and without, ``(N, n)`` each [rad]."""
+    """One row per joint; ``measured``: errors with the corrected path and without, ``(N, n)`` each [rad]."""
     largest = np.max(np.abs(result.q_c - result.q_d), axis=0)
     after, before = result.expected_rms
     unit = one_unit(result.units)
@@ -112,7 +112,7 @@ def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None)
 
 
 def next_step(corrected: str | Path) -> tuple[str, str]:
-    """What to do with a corrected path: a sentence, and the command that does it.
+    """The next step with a corrected path: a sentence and its command.
 
     Args:
         corrected: its file.
@@ -123,13 +123,13 @@ def next_step(corrected: str | Path) -> tuple[str, str]:
 
 def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Array] | None = None,
                corrected: str | Path = "CORRECTED.csv") -> Path:
-    """The page about a corrected path.
+    """Writes the page of a corrected path; returns its file.
 
     Args:
         result: the corrected path.
         path: of the page.
-        measured: errors with the corrected path and without, where it was played ``(N, n)`` each [rad].
-        corrected: file of the corrected path, for the command of what to do next.
+        measured: errors with the corrected path and without, where it was run ``(N, n)`` each [rad].
+        corrected: file of the corrected path, for the command of the next step.
     """
     after, before = (1e3 * float(np.max(rms)) for rms in result.expected_rms)
     unit = one_unit(result.units)

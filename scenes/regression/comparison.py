@@ -1,4 +1,4 @@
-"""Results against earlier ones and against bounds: rows, verdicts, and what a suite's verdict is."""
+"""Compares results with earlier ones and with bounds: rows, verdicts, and the verdict of a suite."""
 
 from __future__ import annotations
 
@@ -43,10 +43,11 @@ class Bound:
     """A bound on a figure's mean over the seeds of a case.
 
     Attributes:
-        case, figure: of what.
+        case, figure: the case and the figure of it.
         limit, mean, deviation: bound, mean and standard deviation over the seeds, in the figure's unit.
         seeds: runs that gave a number; failed: runs that gave none; why: of the first of these.
-        flaky: chance that as many other seeds give the other answer; needed: seeds that tell it with certainty.
+        flaky: chance that as many other seeds give the other answer; needed: number of seeds that decides it with
+            certainty.
     """
 
     case: str
@@ -67,7 +68,7 @@ class Bound:
 
     @property
     def remark(self) -> str:
-        """What is to be said of it besides whether it is kept."""
+        """A remark about the bound besides whether it is kept."""
         if self.failed:
             return f"{self.failed} of {self.seeds + self.failed} runs gave no figure: {self.why}"
         if self.seeds == 1:
@@ -85,13 +86,13 @@ class Bound:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Summarised):
-    """Results, and what they are compared with.
+    """Results, and their comparison with earlier results and bounds.
 
     Attributes:
         title: of the suite, or the two sources.
-        before: results compared with; None where only bounds were looked at.
+        before: results compared with; None where only bounds were checked.
         after: the results.
-        rows: figures of all cases, those of the suite first; bounds: what was asked of the means.
+        rows: figures of all cases, those of the suite first; bounds: bounds of the means.
         pairs: a row a pair, with ``label``, ``seed`` and each figure ``NAME before``, ``NAME after``.
         not_played: runs that were lost.
         places: name of a scene → as the command line takes it, where that is another.
@@ -122,7 +123,7 @@ class Comparison(Summarised):
 
     @property
     def uncompared(self) -> tuple[str, ...]:
-        """Cases of which neither a figure nor a bound could be compared: nobody knows whether they are worse."""
+        """Cases without any figure or bound that could be compared, so that it is unknown whether they are worse."""
         compared = {row.case for row in self.rows if row.verdict != NOT_COMPARABLE}
         compared |= {bound.case for bound in self.bounds}
         refused = [row.case for row in self.rows if not row.figure]
@@ -139,7 +140,7 @@ class Comparison(Summarised):
 
     @property
     def headline(self) -> str:
-        """The verdict in words; what was looked at where there was no baseline."""
+        """The verdict in words, with the kind of comparison where there was no baseline."""
         rose = any(row.verdict == WORSE for row in self.rows) or self.not_played
         if self.before is not None and self.verdict == WORSE and not self.bounds_kept and not rose:
             return "bounds missed"
@@ -153,7 +154,7 @@ class Comparison(Summarised):
 
     @property
     def worst(self) -> Row | None:
-        """The figure of a case that rose most, relative to before; None where nothing became worse."""
+        """The figure of a case with the largest relative rise; None where nothing became worse."""
         worse = [row for row in self.rows if row.verdict == WORSE and row.case != SUITE and row.figure != FAILURES]
         return max(worse, key=lambda row: row.difference / max(abs(row.before), 1e-300), default=None)
 
@@ -175,7 +176,7 @@ class Comparison(Summarised):
                   if row.case == SUITE)]
 
     def json(self) -> dict[str, Any]:
-        """Verdicts with their figures; no times, no places."""
+        """Verdicts with their figures as plain values, without times and places."""
         return {"schema": 1, "title": self.title, "verdict": self.verdict, "not_played": self.not_played,
                 "program": {"before": None if self.before is None else self.before.program,
                             "after": self.after.program},
@@ -192,12 +193,12 @@ class Comparison(Summarised):
 
 def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, rules: Rules | None = None,
              title: str = "") -> Comparison:
-    """Compares results pair by pair; InputError for different arms, no pair in common, or a run that is held twice.
+    """Compares results pair by pair; InputError for different arms, no common pair, or a duplicate run.
 
     Args:
         before, after: earlier results and new ones.
-        figures: names of what is compared; those that not both have are passed over.
-        rules: what counts as a change.
+        figures: names of the compared figures; those that not both have are skipped.
+        rules: rules by which a difference is a change.
         title: of the comparison.
     """
     pairs = _pairs(before, after)
@@ -233,7 +234,7 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Seq
                                    .nunique(dropna=False) == 1).all())
     rows = []
     for name in names:
-        # Of a figure with a sign, a delay for instance, less in size is better.
+        # For a signed figure, a delay for instance, a smaller absolute value is better.
         had = ran[[f"{name} before", f"{name} after"]].astype(float).abs().dropna(subset=[f"{name} before"])
         values = had.dropna()
         if len(values) < len(had):
@@ -256,7 +257,7 @@ def _failures(label: str, after: pd.Series, before: pd.Series | None = None) -> 
     verdict = (FAILED if new.all() else WORSE if (new & ~old).any() else BETTER if (old & ~new).any()
                else NOT_COMPARABLE)
     reasons = after[new & ~old if verdict == WORSE else new]
-    # Without a difference, or nothing to compare with, there is nothing to judge.
+    # Without a difference, or without earlier results, there is no verdict.
     difference = float(new.sum() - old.sum()) or np.nan
     return [Row(label, FAILURES, len(new), np.nan if before is None else float(old.sum()), float(new.sum()), difference,
                 verdict=verdict, why="" if verdict == BETTER else str(reasons.iloc[0]))]
@@ -316,7 +317,7 @@ def _label(row: dict[str, Any]) -> str:
 
 
 def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Bound, ...]:
-    """What the bounds, ``asked`` of each run's case by figure, in its unit, say of the means of each case.
+    """The bounds of each case with the means of its results; ``asked`` has each run's bounds by figure.
 
     Raises InputError for a figure that no run of the case has.
     """
@@ -350,7 +351,7 @@ def _bound(case: str, figure: str, limit: float, values: np.ndarray, failed: int
     flaky, needed = 0.0, None
     if deviation > 0.0:
         effect = abs(limit - mean) / deviation
-        # Two means of n seeds each: the one that was seen, and another one.
+        # Compares the means of two sets of n seeds: the one that was run, and another one.
         flaky = float(stats.t.sf(effect / np.sqrt(2.0 / n), n - 1))
         needed = seeds_needed(effect, _CERTAIN)
     return Bound(case, figure, limit, mean, deviation, n, failed, flaky, needed, why if failed else "")
@@ -360,7 +361,7 @@ def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, .
     """A suite's comparison with its baseline, where it has one, and with its bounds.
 
     Args:
-        after, before: what was played, and the baseline; None where there is none yet.
+        after, before: the results, and the baseline; None where there is none yet.
         bounds: from ``bounds_of``.
         rules: as ``compared`` takes them, and ``title``; errors as there.
     """

@@ -1,4 +1,4 @@
-"""A comparison for others to read: a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines, Parquet."""
+"""Writes a comparison as a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and Parquet."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _escaped(text: str) -> str:
 
 
 def junit(comparison: Comparison) -> str:
-    """JUnit XML: a suite a case, a test a figure or bound; worse, missed, failed is a failure, no pair skipped."""
+    """JUnit XML with a suite per case and a test per figure or bound; without pairs a test is skipped."""
     cases: dict[str, list[tuple[str, str, str]]] = {}
     for row in comparison.rows:
         cases.setdefault(row.case, []).append((row.figure or "comparison", row.verdict, sentence(row)))
@@ -119,7 +119,7 @@ def sentence(row: Row) -> str:
         return f"{row.after:g} of {row.pairs} runs failed: {row.why}"
     if row.verdict == NOT_COMPARABLE or not np.isfinite(row.error):
         return row.why or row.verdict
-    # Of all cases together it is the share of what was before.
+    # For all cases together the value is relative to before.
     unit = "" if row.case == SUITE else f" {unit_of(row.figure) or ''}".rstrip()
     sure = f"p {row.corrected:.2g}, {row.pairs} pairs" if np.isfinite(row.p) else row.why
     return (f"{row.before:.4g} → {row.after:.4g}{unit}, difference {row.difference:+.3g} ± {row.error:.2g}, "
@@ -146,7 +146,7 @@ def answer(comparison: Comparison) -> str:
 
 
 def next_steps(comparison: Comparison) -> list[tuple[str, str]]:
-    """What to do next, with the commands."""
+    """The next steps, each a sentence and its command."""
     worst = comparison.worst
     pair = None if worst is None else comparison.pair_of(worst)
     suite = comparison.after.source if comparison.after.source.endswith(".toml") else None
@@ -174,7 +174,7 @@ def next_steps(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def page(comparison: Comparison) -> Report:
-    """The page: verdict, picture, what to do next, what changed, bounds, and all figures."""
+    """The page: verdict, picture, next steps, changes, bounds, and all figures."""
     report = Report(f"Path error: {comparison.headline}", f"{comparison.title}. {answer(comparison)}")
     kept = sum(bound.kept for bound in comparison.bounds)
     report.figures([("verdict", Verdict(comparison.headline, _kind(comparison))),
@@ -235,7 +235,7 @@ def picture(comparison: Comparison) -> Figure | None:
     groups = [(str(label), *group[[f"{name} before", f"{name} after"]].astype(float).dropna().to_numpy().T)
               for label, group in pairs[pairs["_merge"] == "both"].groupby("label", sort=False)]
     groups = [group for group in groups if len(group[1])]
-    # The cases that changed most, where there are too many to read.
+    # Only the cases that changed most are drawn where there are too many.
     groups = sorted(groups, key=lambda g: -abs(float(np.mean(g[2] - g[1]))) / max(float(np.mean(g[1])), 1e-12))
     groups = groups[:_MOST_CASES]
     figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 1.6 + 0.3 * max(len(groups), 8)), layout="constrained",

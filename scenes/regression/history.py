@@ -1,4 +1,4 @@
-"""What a data set of runs says over versions and computers: which version was best, and since when it is worse."""
+"""History of a data set of runs over versions and computers: the best version, and since when it is worse."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Version:
     Attributes:
         digest: of its sources; name: its commit, or its version and digest where it was installed.
         when: time of its first run (UTC).
-        computers: that played it.
+        computers: computers that ran it.
     """
 
     digest: str
@@ -41,10 +41,10 @@ class Version:
 
 @dataclass(frozen=True)
 class Course:
-    """One figure of one case over the versions that played the same scene in the same simulated world.
+    """One figure of one case over the versions that ran the same scene in the same simulated world.
 
     Attributes:
-        case, figure: what was played, and the figure's name with its unit.
+        case, figure: the case, and the figure's name with its unit.
         versions: from the first to the newest; means, errors: over the seeds, and its standard error ``(N,)``; of one
             seed the error is NaN.
         best: index of the version with the smallest mean; newest: the last index.
@@ -89,7 +89,7 @@ class History(Summarised):
 
     @property
     def worse(self) -> list[Course]:
-        """Courses whose newest version is worse than the best, the largest relative rise first."""
+        """Figures whose newest version is worse than the best, the largest relative rise first."""
         return sorted((course for course in self.courses if course.row.verdict == WORSE),
                       key=lambda course: -course.row.difference / max(course.row.before, 1e-300))
 
@@ -110,7 +110,7 @@ class History(Summarised):
                 "their best")
 
     def summary(self) -> list[tuple[str, str]]:
-        """The answer, and how much it rests on."""
+        """The headline, and the number of runs and versions behind it."""
         return [("history", self.title), ("versions", str(len(self.versions))), ("verdict", self.headline)]
 
     def json(self) -> dict[str, Any]:
@@ -126,13 +126,13 @@ class History(Summarised):
 
     @property
     def main(self) -> list[Course]:
-        """What is worse, and of the other cases the first figure."""
+        """The figures that are worse, and of the other cases the first figure."""
         first = {course.case: course for course in reversed(self.courses)}
         worse = self.worse
         return [*worse, *(course for case, course in first.items() if case not in {one.case for one in worse})]
 
     def table(self, courses: Sequence[Course] | None = None) -> tuple[list[str], list[list[Any]]]:
-        """Column titles and a row a course; of ``main`` if None."""
+        """The histories as a table, one row each; those of ``main`` if None."""
         return (["case", "figure", "versions", "best", "of version", "newest", "of version", "worse since", "verdict"],
                 [[course.case, course.figure, len(course.versions), float(course.means[course.best]),
                   course.versions[course.best].name, float(course.means[-1]), course.versions[-1].name,
@@ -142,15 +142,15 @@ class History(Summarised):
 
 
 def history_of(folders: Sequence[Path], *, figures: Sequence[str] = MAIN, rules: Rules | None = None) -> History:
-    """The history that data sets hold; the same run of two computers counts once, as their mean.
+    """The history of the runs in data sets; equal runs of several computers are averaged.
 
     Args:
         folders: of ``check --runs`` or ``sweep --runs``.
-        figures: names of what is looked at, as far as a case has them; less is better.
-        rules: what counts as a change.
+        figures: names of the figures, as far as a case has them; less is better.
+        rules: rules by which a difference is a change.
 
     Raises:
-        InputError: no data set, or none with a run that says which version played it.
+        InputError: no data set, or none with a run that says which version ran it.
     """
     runs = _runs(folders)
     versions = _versions(runs)
@@ -203,7 +203,7 @@ def _versions(runs: pd.DataFrame) -> tuple[Version, ...]:
     versions = []
     for digest, group in runs.groupby("digest"):
         commit, number = (next(iter(group[name].dropna()), None) for name in ("commit", "version"))
-        # Sources that are not committed have the name of the commit below them.
+        # Uncommitted sources have the name of the commit below them and their digest.
         name = f"{commit} {str(digest)[:6]}" if str(commit).endswith("-dirty") else commit
         versions.append(Version(str(digest), str(name or f"{number} {str(digest)[:6]}"),
                                 str(group["when"].dropna().min()),
@@ -218,14 +218,14 @@ def _course(case: str, figure: str, runs: pd.DataFrame, versions: Sequence[Versi
     values = by.mean().unstack("seed")
     played = [version for version in versions if version.digest in values.index]
     values = values.loc[[version.digest for version in played]]
-    # Seeds that every version has: means over others would compare seeds, not versions.
+    # Only seeds that every version has: otherwise means would compare seeds, not versions.
     common = values.dropna(axis="columns")
     values = common if common.shape[1] else values
     means = values.mean(axis="columns").to_numpy()
     errors = (values.std(axis="columns", ddof=1) / np.sqrt(values.notna().sum(axis="columns"))).to_numpy()
     best = int(np.nanargmin(means))
     row = _compared(case, figure, values, best, -1)
-    # The best was picked among all: any of them could have been it by chance.
+    # The best version was picked among all, so its p is corrected for that number.
     row = replace(row, p=min(1.0, row.p * max(len(played) - 1, 1)))
     return Course(case, figure, tuple(played), means, errors, best, row, None, runs)
 
@@ -244,7 +244,7 @@ def _dated(course: Course, row: Row) -> Course:
     """The course with its row judged, and since which version it is worse."""
     since = None
     if row.verdict == WORSE:
-        # Worse by half of what the newest is: the step lies where the course crosses the middle for the last time.
+        # The step is where the figure last crosses the middle between the best and the newest version.
         middle = 0.5 * (course.means[course.best] + course.means[-1])
         since = int(np.flatnonzero(course.means <= middle)[-1]) + 1
     return replace(course, row=row, since=since)

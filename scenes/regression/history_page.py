@@ -1,4 +1,4 @@
-"""The page of a history: which case is worse since when, its course over versions, its replay beside the best."""
+"""The page of a history: which case is worse since when, its figure over versions, its replay beside the best."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST = 12
 
 
 def run_command(run: Mapping[Any, Any], scene: str | None = None) -> str:
-    """The command line that plays a run again.
+    """The command line that repeats a run.
 
     Args:
         run: an answer, or a row of a table of runs, with the keys of ``CASE`` and ``seed``.
@@ -66,7 +66,7 @@ def history_page(history: History, folders: Sequence[Path]) -> Report:
 
 
 def next_steps(history: History) -> list[tuple[str, str]]:
-    """What to do next, with the commands."""
+    """The next steps, each a sentence and its command."""
     if not history.worse:
         return [("Play the suite with the next version; it is compared with the best of these.",
                  "ideal-robot check SUITE.toml --runs FOLDER --resume")]
@@ -81,7 +81,7 @@ def next_steps(history: History) -> list[tuple[str, str]]:
 
 
 def replays_of(course: Course, folders: Sequence[Path]) -> list[tuple[str, KeptReplay]]:
-    """The best version's and the newest's replay of the seed that became worse most, with titles, as far as kept."""
+    """Replays of the seed that became worse most: best version's and newest's with titles, as far as stored."""
     run = course.worst_seed
     kept = []
     for index in (course.best, len(course.versions) - 1):
@@ -97,7 +97,7 @@ def replays_of(course: Course, folders: Sequence[Path]) -> list[tuple[str, KeptR
 
 
 def picture(history: History) -> Figure:
-    """The courses that are worse first, a panel each: figure over version."""
+    """Figure over versions, one panel per history, those that are worse first."""
     import matplotlib.pyplot as plt
 
     courses = [*history.worse, *(course for course in history.courses if course not in history.worse)][:_MOST]
@@ -118,11 +118,11 @@ def picture(history: History) -> Figure:
         if course.since is not None:
             panel.plot(len(course.versions) - 1, course.means[-1], "o", markeredgecolor="#c0261c", **ring)
         panel.set_title(course.case, fontsize=10.0)
-        # A word a line: the name in one line is longer than the panel is high.
+        # One word per line, as the name in one line is longer than the panel is high.
         unit = unit_of(course.figure)
         words = figure_in_words(course.figure).replace(", ", "\n")
         panel.set_ylabel(f"{words} [{unit}]" if unit else words, fontsize=9.0)
-        # Room for the ring about the topmost point.
+        # Space for the ring around the highest point.
         panel.set_ylim(0.0, 1.15 * panel.get_ylim()[1])
         panel.set_xticks(range(len(course.versions)), [version.name[:16] for version in course.versions], rotation=30.0,
                          ha="right", fontsize=8.0)

@@ -40,7 +40,7 @@ class Row:
     """One figure of one case, before and after.
 
     Attributes:
-        case: what was played; figure: name with its unit.
+        case: the case; figure: name with its unit.
         pairs: seeds that both have.
         before, after: means over the pairs.
         difference, error: mean difference and its standard error; of the suite relative to ``before``.
@@ -68,10 +68,10 @@ class Row:
 
 
 def paired(case: str, figure: str, before: Array, after: Array) -> Row:
-    """The difference of one figure over pairs; the verdict is made by ``judged`` for all rows together.
+    """The difference of one figure over pairs; ``judged`` adds the verdict for all rows together.
 
     Args:
-        case: what was played.
+        case: the case.
         figure: its name.
         before: values of each pair ``(n,)``, in the figure's unit.
         after: values of each pair ``(n,)``, in the figure's unit.
@@ -83,12 +83,12 @@ def paired(case: str, figure: str, before: Array, after: Array) -> Row:
 
 
 def one_run(case: str, figure: str, seeds: int, before: float, after: float) -> Row:
-    """The difference of one figure where every seed gives the same run: one pair, without scatter and without chance.
+    """The difference of one figure where all seeds give the same run: one pair, without scatter.
 
     Args:
-        case: what was played.
+        case: the case.
         figure: its name.
-        seeds: that were played.
+        seeds: the seeds that were run.
         before: value of each of them, in the figure's unit.
         after: value of each of them, in the figure's unit.
     """
@@ -105,7 +105,7 @@ def _p(mean: float, error: float, dof: float) -> float:
 
 
 def over_all(name: str, rows: list[Row]) -> Row | None:
-    """The mean of the cases' relative differences of one figure: a small change of every case is seen here first.
+    """The mean of the cases' relative differences of one figure, which detects small changes common to all cases.
 
     Standard error and degrees of freedom (Welch and Satterthwaite) come from the scatter within the cases. None where
     no case has two pairs and a mean to relate to.

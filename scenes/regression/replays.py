@@ -1,4 +1,4 @@
-"""Replays of a data set's runs: of the newest and of the best version of each case, to be seen beside each other."""
+"""Replays of a data set's runs: newest and best version of each case, for comparison."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FOLDER = "replays"
 
 
 def play_and_keep(job: Job, folder: Path) -> dict[str, Any]:
-    """Plays a job as ``scenes.sweep.play`` does, and keeps its replay in the data set ``folder``."""
+    """Runs a job as ``scenes.sweep.play`` does, and stores its replay in the data set ``folder``."""
     drawn: list[KeptReplay] = []
 
     def draw(scene: Any, result: Any) -> None:
@@ -31,17 +31,17 @@ def play_and_keep(job: Job, folder: Path) -> dict[str, Any]:
 
     answer = play(job, draw)
     for replay in drawn:
-        with suppress(Exception):  # a replay is an addition to the figures and never costs them
+        with suppress(Exception):  # a replay is optional, so its errors are ignored
             replay.keep(replay_place(folder, str(program()["digest"]), answer))
     return answer
 
 
 def replay_place(folder: Path, digest: str, run: Mapping[Any, Any]) -> Path:
-    """Where the replay of a run lies in a data set.
+    """File of a run's replay in a data set.
 
     Args:
         folder: of the data set.
-        digest: of the sources of the program that played it.
+        digest: digest of the sources of the program that ran it.
         run: an answer, or a row of a table of runs, with the keys of ``CASE`` and ``seed``.
     """
     words = [re.sub(r"[^\w.]+", "_", word_of(run.get(name))) for name in (*CASE, "seed")]
@@ -49,7 +49,7 @@ def replay_place(folder: Path, digest: str, run: Mapping[Any, Any]) -> Path:
 
 
 def word_of(value: Any) -> str:
-    """A value of a row as it is written on the command line; empty where it has none."""
+    """A row's value as the command line takes it; empty where it has none."""
     return "" if value is None or value != value else f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
@@ -64,5 +64,5 @@ def tidy_replays(folder: Path, kept: set[str]) -> None:
         if version.is_dir() and version.name not in kept:
             for file in version.glob("*.json.gz"):
                 file.unlink(missing_ok=True)
-            with suppress(OSError):  # something else lies there
+            with suppress(OSError):  # another kind of file is in its place
                 version.rmdir()

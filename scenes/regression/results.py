@@ -1,4 +1,4 @@
-"""Results as one table of runs, whatever file, table or folder they stand in; and the data set that a sweep writes."""
+"""Results as one table of runs, from any file, table or folder; and the data set that a sweep writes."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ def figure_in_words(figure: str) -> str:
 
 @dataclass(frozen=True)
 class Results:
-    """Runs with their figures.
+    """Runs with their figures, and the program and machine that computed them.
 
     Attributes:
         runs: one row a run: ``CASE``, ``seed``, ``failure``, ``HASHES``, and figures by their dotted names.
-        program, machine: what computed them, as ``scenes.models`` says it; empty where a file does not tell.
+        program, machine: version of the program, and the computer; empty where a file has none.
         source: the file, table or folder.
     """
 
@@ -98,7 +98,7 @@ class Results:
         return float(self.runs[figure].mean())
 
     def write(self, path: Path) -> Path:
-        """Writes them as JSON, which ``read_results`` reads; the same runs give the same bytes."""
+        """Writes the results as JSON, which ``read_results`` reads; the same runs give the same bytes."""
         rows = self.runs.astype(object).where(self.runs.notna(), None).to_dict("records")
         rows = [{str(key): int(value) if key in ("seed", "individual") else value for key, value in row.items()
                  if value is not None} for row in rows]
@@ -125,7 +125,7 @@ def table(answers: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
 
 
 def times_of(answers: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What of answers is a time, with what was played."""
+    """The times of answers, with the keys of their runs."""
     return [{key: answer.get(key) for key in (*CASE, "seed", *TIMES) if key in answer} for answer in answers]
 
 
@@ -201,7 +201,7 @@ def _checked(frame: pd.DataFrame, content: dict[str, Any], path: Path) -> Result
     return Results(frame, source=str(path), **origin)
 
 
-# A partitioned Parquet data set of a sweep's answers, which grows while it runs and can be queried meanwhile.
+# A partitioned Parquet data set of a sweep's answers, which grows during the sweep and can be queried meanwhile.
 
 PART = 500
 """Answers of a part at most: a megabyte."""
@@ -210,7 +210,7 @@ EVERY = 30.0
 
 
 class RunSet(Kept):
-    """A folder ``scene=NAME/part-….parquet`` with a row a run, and ``open.jsonl`` with the answers of no part yet.
+    """A folder ``scene=NAME/part-….parquet`` with one row per run, and ``open.jsonl`` with answers not yet in a part.
 
     A row says which version played it, on which computer and when (``scenes.program.ORIGIN``), so that the folder is
     the history of its runs. Answers of other versions stay beside those of today.
@@ -228,7 +228,7 @@ class RunSet(Kept):
                              value=str(folder))
         self.answers = dict(self._of_parts())
         self._open = SweepFile(folder / "open.jsonl", resume=True)
-        # What a sweep that was killed between both wrote into a part already.
+        # Answers that a killed sweep had already written into a part are dropped.
         self._waiting = [(json.loads(str(key)), answer, self._open.lines[key].get("origin") or {})
                          for key, answer in self._open.answers.items() if key not in self.answers]
         self.answers |= self._open.answers

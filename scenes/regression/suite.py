@@ -1,4 +1,4 @@
-"""Suite files: which scenes, arms, seeds, speeds and methods are played every night, and within which bounds."""
+"""Suite files: scenes, arms, seeds, speeds and methods to be run every night, with bounds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
 
 
 class Case(Table):
-    """Runs that are played, in all combinations."""
+    """Runs of a suite, in all combinations."""
 
     scenes: tuple[str, ...] = pydantic.Field(min_length=1)
     """Names of scenes, or paths of scene files as seen from the suite's folder."""
@@ -77,11 +77,11 @@ class SuiteFile(Table):
 
 @dataclass(frozen=True)
 class Played:
-    """What of a suite was played.
+    """The runs of a suite with their bounds.
 
     Attributes:
-        answers: in the order of ``Suite.work``; bounds: what is asked of the case of each.
-        spared: scenes in which the seed does not enter, and how many further seeds of a case were not played.
+        answers: in the order of ``Suite.work``; bounds: the bounds of each run's case.
+        spared: scenes that do not depend on the seed, and how many further seeds of a case were not played.
     """
 
     answers: list[dict[str, Any]]
@@ -131,17 +131,17 @@ class Suite:
         self._asked.append((field, figure, {scene.name for scene in scenes}))
 
     def play(self, done: Callable[[int], None], **how: Any) -> Played:
-        """Plays the runs, one of each scene first, then a second seed of each case, then the others.
+        """Runs one seed of each scene first, then a second one of each case, then the others.
 
-        Where the first two seeds of a case give the same figures to the last digit, the seed does not enter: the
-        other seeds would be the same run once more and are not played.
+        Where the first two seeds of a case give the same figures to the last digit, the scene does not depend on the
+        seed, and the other seeds are not run.
 
         Args:
             done: called with the number of runs finished.
             how: as for ``sweep``.
 
         Raises:
-            InputError: as ``sweep`` does, and as ``check_figures`` does once the scenes in question have been played.
+            InputError: as ``sweep`` does, and as ``check_figures`` does once these scenes have been run.
         """
         cases: dict[tuple[Any, ...], list[int]] = {}
         for i, (job, _) in enumerate(self.work):
@@ -159,7 +159,7 @@ class Suite:
                 done(before + count)
 
             answers.update(zip(indices, sweep([self.work[i][0] for i in indices], done=looked, **how), strict=True))
-            for answer in answers.values():  # those that were kept already, too
+            for answer in answers.values():  # including those stored earlier
                 self.check_figures(answer)
 
         play(begun)
@@ -171,12 +171,12 @@ class Suite:
                       {_name(self.work[case[0]][0]): len(case) - 2 for case in same})
 
     def check_figures(self, answer: dict[str, Any]) -> None:
-        """Makes sure that figures which are compared or bounded are among those that their scenes have.
+        """Raises InputError for compared or bounded figures that none of their scenes has.
 
         What a scene has is known from its first answer without a failure.
 
         Raises:
-            InputError: none of the scenes that a figure is asked of has it.
+            InputError: none of the scenes of a figure has it.
         """
         if answer["failure"] is not None or answer["scene"] in self._figures:
             return

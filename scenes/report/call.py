@@ -1,4 +1,4 @@
-"""A command's recording, robot and model as they were typed, for the commands that a page proposes next."""
+"""A command's recording, robot and model as they were typed, for the next commands that a page proposes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Call(NamedTuple):
-    """What a command was given; placeholders where it is not known.
+    """Arguments of a command; placeholders where they are unknown.
 
     Attributes:
         recording, robot: as typed.
@@ -23,12 +23,12 @@ class Call(NamedTuple):
 
     @property
     def of_robot(self) -> str:
-        """The robot's option, quoted for a shell."""
+        """The option that names the robot, quoted for a shell."""
         return shlex.join(["--robot", self.robot])
 
     @property
     def recorded(self) -> str:
-        """The recording, its robot and how it is read, quoted for a shell."""
+        """The arguments for the recording, its robot and its reading, quoted for a shell."""
         return shlex.join([str(self.recording), "--robot", self.robot, *self.reading])
 
     def __str__(self) -> str:

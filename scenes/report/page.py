@@ -42,7 +42,7 @@ class Report:
     """Collects headings, sentences, key figures, tables and pictures in reading order, then writes one HTML file.
 
     Args:
-        title: what was done, in a few words.
+        title: the page's title.
         summary: one or two sentences that say the result; shown under the title.
     """
 
@@ -55,7 +55,7 @@ class Report:
 
         Args:
             text: its title.
-            folded: whether all of the section is folded away under its title until it is asked for.
+            folded: whether the section is folded under its title.
         """
         number = sum(block["kind"] == "heading" for block in self._blocks) + 1
         open_before = next((block["folded"] for block in reversed(self._blocks) if block["kind"] == "heading"), False)
@@ -63,27 +63,27 @@ class Report:
                              "ends": open_before})
 
     def text(self, text: str) -> None:
-        """A paragraph of plain text."""
+        """Adds a paragraph of plain text."""
         self._blocks.append({"kind": "text", "text": text})
 
     def warning(self, text: str) -> None:
-        """A paragraph that must not be overlooked."""
-        # A code that the documentation names, a file or a channel stays as it is.
+        """Adds a highlighted paragraph."""
+        # A code of the documentation, a file or a channel keeps its case.
         begins = text.partition(" ")[0].rstrip(":,").isalpha()
         self._blocks.append({"kind": "warning", "text": f"{text[:1].upper()}{text[1:]}" if begins else text})
 
     def figures(self, items: list[tuple[str, str]]) -> None:
-        """Key figures as tiles: ``[(label, value with unit), …]``."""
+        """Adds key figures as tiles: ``[(label, value with unit), …]``."""
         self._blocks.append({"kind": "figures", "cells": items})
 
     def table(self, columns: Sequence[str], rows: list[list[Any]], caption: str = "", folded: str = "") -> None:
-        """A table; numbers are shown with three significant digits and aligned right.
+        """Adds a table; numbers are shown with three significant digits and aligned right.
 
         Args:
             columns: titles, with units.
             rows: cells.
-            caption: what they mean.
-            folded: title under which a long table is folded away until it is asked for; empty: it is shown.
+            caption: explanation of the columns.
+            folded: title under which a long table is folded; empty: it is shown.
         """
         cells = [[{"text": _shown(cell), "number": isinstance(cell, (int, float, np.number)),
                    "verdict": cell.kind if isinstance(cell, Verdict) else ""} for cell in row] for row in rows]
@@ -91,36 +91,36 @@ class Report:
                              "raw": rows, "folded": folded})
 
     def figure(self, figure: Figure, caption: str = "", folded: str = "") -> None:
-        """A matplotlib figure with the sentence that says what to see in it: as SVG, as PNG where it holds pictures.
+        """Adds a matplotlib figure with its caption: as SVG, as PNG where it contains pictures.
 
         Args:
             figure: to embed.
             caption: the sentence.
-            folded: title under which it is folded away until it is asked for; empty: it is shown.
+            folded: title under which it is folded; empty: it is shown.
         """
         from matplotlib import rc_context, rcParams
 
         wide = min(_SCROLLED, round(96.0 * figure.get_figwidth())) if figure.get_figwidth() > _PHONE else 0
-        # Laid out and measured here: saving would draw all of it once more for that.
+        # The figure is laid out and measured here, as saving would otherwise draw it a second time.
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
         figure.set_layout_engine(None)
         size = figure.get_tightbbox().padded(rcParams["savefig.pad_inches"])
         if not any(axes.images for axes in figure.axes):
             svg = io.BytesIO()
-            # With a salt of its own the names in the SVG, and so the page, are the same each time.
+            # With a fixed salt the identifiers in the SVG, and so the page, are the same each time.
             with rc_context({"svg.hashsalt": "ideal-robot"}):
                 figure.savefig(svg, format="svg", bbox_inches=size, metadata={"Date": None})
             if len(svg.getvalue()) <= _SVG_MAX:
                 self._embed(svg.getvalue(), "svg+xml", caption, wide, folded)
                 return
         png = io.BytesIO()
-        # Packed harder, pictures would be smaller by a tenth and take three times as long.
+        # With more compression pictures would be smaller by a tenth and take three times as long.
         figure.savefig(png, format="png", dpi=130, bbox_inches=size, pil_kwargs={"compress_level": 3})
         self._embed(png.getvalue(), "png", caption, wide, folded)
 
     def image(self, png: bytes, caption: str = "") -> None:
-        """A PNG image, with the sentence that says what to see in it."""
+        """Adds a PNG image with its caption."""
         self._embed(png, "png", caption)
 
     def _embed(self, data: bytes, kind: str, caption: str, wide: int = 0, folded: str = "") -> None:
@@ -128,20 +128,20 @@ class Report:
                              "caption": caption, "wide": wide, "folded": folded})
 
     def replay(self, replay: Replay, caption: str = "") -> None:
-        """A replay that moves in the page, with the sentence that says what to see in it."""
+        """Adds an animated replay with its caption."""
         self.replays([("", replay)], caption)
 
     def replays(self, replays: Sequence[tuple[str, Replay | KeptReplay]], caption: str = "") -> None:
-        """Replays beside each other, each under its title, with the sentence that says what to see in them."""
+        """Adds replays beside each other, each under its title, with a common caption."""
         self._blocks.append({"kind": "replay", "caption": caption,
                              "replays": [{"title": title, "html": replay.html()} for title, replay in replays]})
 
     def next(self, *steps: tuple[str, str]) -> None:
-        """What to do next: for each step a sentence and the command line that does it (empty where none does)."""
+        """Adds the next steps, each a sentence and its command line (empty where there is none)."""
         self._blocks.append({"kind": "next", "steps": [{"text": text, "command": command} for text, command in steps]})
 
     def calibration(self, camera: HandEye) -> None:
-        """What moving over the line before the run has shown of the camera."""
+        """Adds the camera calibration that was done before the run."""
         self.text(
             "Before the run the camera was calibrated by moving it over a segment of the line ([L] 4.4): seen from "
             f"all poses, its points lay {1e3 * camera.residual_before:.2f} mm (RMS) from one common curve with the "
@@ -188,10 +188,10 @@ def write_run_files(result: R, page: Callable[[R, Replay | None], Report], out: 
 
 
 def write_comparison_files(comparison: R, page: Callable[[R], Report], out: Path) -> R:
-    """Writes each run's recording, the common page and the figures into a folder; returns it all with its places.
+    """Writes each run's recording, the common page and the figures into a folder; returns the result with paths.
 
     Args:
-        comparison: what was found; has ``runs`` by method, ``recording_path`` of each, ``report`` and ``json``.
+        comparison: the comparison; it has ``runs`` by method, ``recording_path`` of each, ``report`` and ``json``.
         page: makes the page of it.
         out: folder of the files.
     """

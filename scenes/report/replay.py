@@ -1,4 +1,4 @@
-"""A replay inside a page: the arm moves, the error is drawn enlarged, all in one self-contained piece of HTML.
+"""A replay inside a page: the arm moves, the error is drawn enlarged, in one self-contained piece of HTML.
 
 No library is loaded and nothing is fetched: the arm's primitive shapes become polygons that a short script draws on a
 canvas, so that the page also plays on a phone and without a network.
@@ -139,13 +139,13 @@ FRAMES = 400
 
 
 def rises(t: Array) -> bool:
-    """Whether times ``(N,)`` can be played: finite, sorted, and not all the same."""
+    """Whether times ``(N,)`` can be animated: finite, sorted, and not all the same."""
     return bool(np.isfinite(t).all() and np.all(np.diff(t) >= 0.0) and t[0] < t[-1])
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay shows; everything over one time axis of ``N`` samples.
+    """The data of a replay, over one time axis of ``N`` samples.
 
     Attributes:
         robot: the arm, drawn from its URDF's primitive shapes.
@@ -153,8 +153,8 @@ class Replay:
         q: arm angles ``(N, n)`` [rad].
         tool: where the TCP truly was ``(N, 3)`` [m].
         wanted: the point it should have been at, or the nearest one of the line ``(N, 3)`` [m].
-        error: what is plotted below and colours the trace ``(N,)``, in ``unit``; NaN where it does not count.
-        error_name, unit: what that is.
+        error: error that is plotted and colours the trace ``(N,)``, in ``unit``; NaN where it is not evaluated.
+        error_name, unit: name and unit of the error.
         curves: further curves by name ``(K, 3)`` [m], e.g. the drawn line.
         surface: corners of the surface ``(4, 3)`` [m], or None.
         pictures: camera pictures, time [s] and PNG.
@@ -199,12 +199,12 @@ class Replay:
         return _html(self.data())
 
     def data(self) -> dict[str, Any]:
-        """What the page's script draws: plain values, thinned out and rounded."""
+        """The data for the page's script: plain values, thinned out and rounded."""
         step = max(1, -(-len(self.t) // FRAMES))
         rows = slice(None, None, step)
         shapes, links = polygons(self.robot)
         counts = np.isfinite(self.error)
-        # Where the error does not count, there is nothing to enlarge.
+        # Where the error is not evaluated, nothing is enlarged.
         wanted = np.where(counts[:, None], self.wanted, self.tool)
         error = [None if not np.isfinite(value) else round(float(value), 4) for value in self.error[rows]]
         return {
@@ -223,7 +223,7 @@ class Replay:
 
 
 def enlarged_alike(replays: Sequence[Replay]) -> list[Replay]:
-    """The replays with one magnification of their errors: the largest becomes a sixth of the path at most.
+    """The replays with a common magnification of their errors: the largest is drawn as a sixth of the path at most.
 
     Magnifications are 1, 2 or 5 times a power of ten, and 50 at most.
     """
@@ -237,7 +237,7 @@ def enlarged_alike(replays: Sequence[Replay]) -> list[Replay]:
 
 @dataclass(frozen=True)
 class KeptReplay:
-    """A replay as it was drawn once, for a page of today beside another one.
+    """A stored replay of an earlier version, to be shown beside another one.
 
     Attributes:
         data: as ``Replay.data`` gives it.
@@ -256,7 +256,7 @@ class KeptReplay:
         return cls(data) if isinstance(data, dict) else None
 
     def keep(self, path: Path) -> None:
-        """Writes it, packed; OutputError where that fails."""
+        """Writes the replay, compressed; OutputError where that fails."""
         with whole_file(path) as partial:
             partial.write_bytes(gzip.compress(json.dumps(self.data, allow_nan=False).encode(), mtime=0))
 
@@ -298,7 +298,7 @@ def shown_motion(robot: Robot, recording: Recording) -> tuple[slice, Array, Arra
 
 
 def replay_beside(recording: Path) -> Path:
-    """Where the replay of a recording is."""
+    """File of a recording's replay, beside the recording."""
     return recording.with_name(recording.stem + ENDING)
 
 

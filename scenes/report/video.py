@@ -26,7 +26,7 @@ _INK, _ACCENT, _PAPER = (28, 36, 48), (224, 106, 0), (244, 246, 248)  # red, gre
 
 
 def check_video(path: Path) -> None:
-    """Refuses a name whose ending says no film, before any work is done.
+    """Raises InputError for a file name without the ending of a film, before any work is done.
 
     Raises:
         InputError: another ending than those of ``ENDINGS``.
@@ -37,13 +37,13 @@ def check_video(path: Path) -> None:
 
 def write_video(replay: Replay, path: Path, *, rate: float = 12.0, slow: float = 1.5,
                 progress: Progress = silent) -> Path:
-    """Writes a film.
+    """Writes a replay as a film.
 
     Args:
-        replay: what it shows.
+        replay: the replay to show.
         path: ending in ``.mp4``, ``.gif`` or ``.webp``.
         rate: pictures a second of the film [1/s].
-        slow: how many times slower than the run it plays.
+        slow: factor by which it is slower than the run.
         progress: called with the fraction done.
 
     Raises:
@@ -83,7 +83,7 @@ def _mp4(replay: Replay, path: Path, rate: float, slow: float, progress: Progres
         count += 1
     if writer is not None:
         writer.release()
-    # OpenCV says nothing of a disk that is full.
+    # OpenCV does not report a full disk.
     written = cv2.VideoCapture(str(path))
     if int(written.get(cv2.CAP_PROP_FRAME_COUNT)) != count:
         raise OutputError.of(path, OSError("the film is not whole"), "make room, or give another place")
@@ -93,7 +93,7 @@ def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator
     """Pictures ``(height, width, 3)``, RGB, at even times.
 
     Args:
-        replay: what they show.
+        replay: the replay to show.
         rate: pictures a second of the run [1/s].
         progress: called with the fraction done.
     """
@@ -122,7 +122,7 @@ def _flattened(replay: Replay, counts: np.ndarray) -> tuple[Array, Array, tuple[
     enlarged = wanted + replay.enlarged * (replay.tool - wanted)
     mean = wanted.mean(axis=0)
     plane = np.linalg.svd(wanted - mean, full_matrices=False)[2][:2]
-    # A path rather upright than across fits the panel better.
+    # A path that is taller than wide fits the panel better.
     a, b = (wanted - mean) @ plane[::-1].T, (enlarged - mean) @ plane[::-1].T
     both = np.vstack([a, b])
     low, high = np.percentile(both, 1.0, axis=0), np.percentile(both, 99.0, axis=0)

@@ -1,1 +1,1 @@
-"""The ideal robot as a server of KUKA RSI."""
+"""The ideal robot as a server for KUKA RSI."""

@@ -1,4 +1,4 @@
-"""Which interpolation cycle this computer holds: the whole way of a packet and back, with the real feedforward."""
+"""Finds the interpolation cycles that this computer keeps up with: a packet's whole way with the real feedforward."""
 
 from __future__ import annotations
 
@@ -51,18 +51,18 @@ class CycleTest:
 
     @property
     def held(self) -> bool:
-        """Whether the cycle is held."""
+        """Whether this computer keeps up with the cycle."""
         return self.failure is None and self.late <= _ALLOWED
 
 
 @dataclass(frozen=True)
 class HeldCycles:
-    """What came of all.
+    """The results for all cycle times.
 
     Attributes:
         tests: one a cycle.
-        granted: what the system granted for even timing.
-        load: processes that wanted to run on average in the last minute, per core.
+        granted: privileges for even timing that the system granted.
+        load: load average of the last minute, per core.
         cores: processor cores this process may use.
     """
 
@@ -72,12 +72,12 @@ class HeldCycles:
     cores: int
 
     def shortest(self) -> int | None:
-        """Shortest cycle that is held, and all longer ones too [ms]."""
+        """Shortest cycle [ms] that this computer keeps up with, together with all longer ones."""
         held = [test.cycle_ms for test in takewhile(lambda test: test.held, self.tests)]
         return held[-1] if held else None
 
     def json(self) -> dict[str, Any]:
-        """The content of ``--json``: delays and losses of each cycle that was tried."""
+        """The content of ``--json``: delays and losses of each cycle time."""
         return {"shortest_cycle_ms": self.shortest(), "granted": self.granted, "load_per_core": self.load,
                 "cores": self.cores, "cycles": [
                     {"cycle_ms": t.cycle_ms, "held": t.held, "share_late": t.late, "packets": len(t.delays_ms),
@@ -85,13 +85,13 @@ class HeldCycles:
                      "failure": t.failure} for t in self.tests]}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a cycle."""
+        """One row per cycle time."""
         rows = [[t.cycle_ms, "yes" if t.held else "no", f"{1e2 * t.late:.2f}", *_spread(t.delays_ms).values()]
                 for t in self.tests]
         return ["cycle ms", "held", "late %", "answer after, median ms", "99 %", "worst"], rows
 
     def reasons(self) -> list[str]:
-        """What decides it on this computer, as sentences."""
+        """The reasons for the result on this computer, as sentences."""
         lines = [f"granted: {', '.join(self.granted)}; {self.cores} cores, load {self.load:.1f} per core"]
         failed = next((t for t in self.tests if not t.held), None)
         if failed is None:
@@ -111,7 +111,7 @@ class HeldCycles:
 def held_cycles(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
                 core: int | None = None, seconds: float = 4.0, cycles_ms: tuple[int, ...] = CYCLES_MS,
                 progress: Progress = silent) -> HeldCycles:
-    """Plays rest to a process of its own that sends packets in real time.
+    """Commands rest to a separate process that sends packets in real time, for each cycle time.
 
     Args:
         robot: shipped robot or URDF; the one the model names if None, the kr6 where no model is given either.
@@ -136,7 +136,7 @@ def held_cycles(*, robot: str | None = None, model: Path | None = None, method: 
                 run = server.play(patience=30.0, core=core)
                 output = pacer.communicate(timeout=30.0 + 2 * seconds)[0]
         delays = np.array([np.inf if delay is None else delay for delay in json.loads(output)])
-        # Silence behind the pacer's last packet is how the test ends, not why it fails.
+        # A silence after the pacer's last packet is the end of the test, not a failure.
         failure = run.failure if len(run.recording.t) < 0.9 * packets else None
         tests.append(CycleTest(cycle_ms, delays, 1e3 * np.array(link.answer_times), failure))
         granted = run.precautions
@@ -189,7 +189,7 @@ def _delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[fl
                 if delays[packet] is None:
                     delays[packet], first = 1e3 * (arrived - sent[packet]), min(first, packet)
             now = time.perf_counter()
-            # Late itself, it goes on from now: two packets at once would be no fault of the server's.
+            # If it is late itself, it continues from now: two packets at once would not be a fault of the server.
             due = max(due, now - 0.1 * cycle) + cycle
             sent[k] = now
             link.sendto(f'<Rob Type="KUKA"><AIPos {angles}/><IPOC>{1000 + k * step}</IPOC></Rob>'.encode(),
@@ -198,7 +198,8 @@ def _delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[fl
 
 
 if __name__ == "__main__":
-    # A controller is punctual; where that is not permitted, some of its lateness counts as the server's.
+    # A controller is punctual; where priority is not permitted, some of this process's delay is attributed to the
+    # server.
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))

@@ -1,4 +1,4 @@
-"""The ideal robot as a KUKA RSI server: a joint path in, one corrected command for every packet out."""
+"""The ideal robot as a KUKA RSI server: from a joint path to one corrected command for every packet."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from scenes.result import Progress, silent
 
 @dataclass(frozen=True, repr=False)
 class RsiRun(PathRun):
-    """A path played over RSI.
+    """The result of a path executed over RSI.
 
     Attributes:
         stamps: how the controller's time stamps rise.
@@ -51,7 +51,7 @@ class RsiRun(PathRun):
         return {**super().json(), "time_stamps": self.stamps}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """What a person wants first."""
+        """The main figures as a table: titles and rows."""
         link = self.counts
         rows: list[list[Any]] = [["cycles answered", f"{self.answered} of {self.rows}"],
                                  ["time stamps", self.stamps],
@@ -66,7 +66,7 @@ class RsiRun(PathRun):
 
 
 class RsiServer(PathPlayer):
-    """Plays one desired joint path through a feedforward to the controller behind a ``RsiRobot``.
+    """Executes one desired joint path through a feedforward on the controller behind an ``RsiRobot``.
 
     The arm has to stand at the start of the path. See ``PathPlayer`` for the arguments.
     """
@@ -75,7 +75,7 @@ class RsiServer(PathPlayer):
     link: RsiRobot
 
     def play(self, *, patience: float = 60.0, core: int | None = None, progress: Progress = silent) -> RsiRun:
-        """Waits for the controller, then plays the path, see ``PathPlayer.play``.
+        """Waits for the controller, then executes the path, see ``PathPlayer.play``.
 
         Args:
             patience: how long the controller is waited for [s].
@@ -86,16 +86,16 @@ class RsiServer(PathPlayer):
         return RsiRun(**vars(run), stamps=self.link.stamps.described())
 
 
-# From what the command line gives to an RSI server: path, robot, model and feedforward that fit each other.
+# Checks that path, robot, model and feedforward of an RSI server fit each other.
 
 _TRIED = 20.0
 """How much of the path is tried on the identified loop [s]."""
 
 
 def methods() -> tuple[str, ...]:
-    """Methods that a server can play: those that need no more than a model, and what learns while it works.
+    """Methods that a server can use: those that need at most a model, and those that learn during the run.
 
-    Nothing is rehearsed.
+    There are no runs beforehand.
     """
     return (*known(Needs.MODEL), ADAPTED, *settings(Needs.MODEL))
 
@@ -104,7 +104,7 @@ def methods() -> tuple[str, ...]:
 def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = None, method: str = "ideal",
                cycle: float | None = None, delay: bool = False, rest: float = 0.6, **link_options: Any
                ) -> Iterator[RsiServer]:
-    """A server that listens, and stops listening at the end of the block.
+    """A server that listens within the block.
 
     Args:
         path: CSV or Parquet with ``t`` and ``q_d_i`` or ``q_i``.
@@ -117,7 +117,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
         link_options: see ``RsiRobot``.
 
     Raises:
-        InputError: anything of this cannot be used, or the path leaves the robot's limits.
+        InputError: an argument cannot be used, or the path leaves the robot's limits.
     """
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
@@ -143,7 +143,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
              cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, Model | None, Path]:
-    """Arm at one cycle, feedforward, identified model where the method needs or the user gives one, and its file.
+    """Arm with its cycle, feedforward, model where the method needs or the user gives one, and its file.
 
     Args:
         robot: shipped robot or URDF; None for the one the model names.
@@ -159,7 +159,7 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
     arm, file = _arm(robot, model, method)
     if cycle is not None:
         arm = at_cycle(arm, cycle)
-    # A plain path, too, is watched better where the arm's loop is known.
+    # An uncorrected path, too, is monitored better with the arm's identified loop.
     identified = None if described(method).needs == Needs.NOTHING and model is None else Model.load(file)
     if identified is not None and described(method).needs == Needs.NOTHING:
         identified.require_arm(arm, file=file)

@@ -1,1 +1,1 @@
-"""Scene files: what a person writes of a scene, table by table, checked before anything is played."""
+"""Scene files: the tables that a person writes, checked before a run."""

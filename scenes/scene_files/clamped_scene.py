@@ -1,4 +1,4 @@
-"""The clamped scenes as a file: where the flange is clamped, and how the motors push."""
+"""The files of clamped scenes: where the flange is clamped, and how the motors push."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A line drawn on a plane: the tables of a scene file that say where it should be, where it really is, how it looks."""
+"""Tables of a scene file for a line on a plane: its nominal place, its true place, its appearance."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Surface(Table):
 
 
 class Line(Shape):
-    """The drawn line: its shape, and how it looks."""
+    """The drawn line: its shape and its appearance."""
 
     width_mm: float = pydantic.Field(default=3.0, gt=0, le=50)
     gray: float = pydantic.Field(default=40.0, ge=0, le=255)
@@ -55,7 +55,7 @@ class Line(Shape):
 
     @property
     def detection(self) -> DetectionSettings:
-        """Width and contrast of the line, as the detector is given them."""
+        """Width and contrast of the line as settings of the detector."""
         return DetectionSettings.of(1e-3 * self.width_mm, self.background - self.gray)
 
 
@@ -73,7 +73,7 @@ class Feature(Table):
 
 
 class Displacement(Table):
-    """How far the drawn line is from its reference: sizes; the seed draws half to whole of each, with sign."""
+    """Sizes of the drawn line's displacement from its reference; the seed draws half to whole of each, with sign."""
 
     lateral_mm: float = pydantic.Field(default=10.0, ge=0, le=60)
     along_mm: float = pydantic.Field(default=5.0, ge=0, le=60)
@@ -90,7 +90,7 @@ class Displacement(Table):
         return float(along), float(across), float(turn)
 
     def draw_plane(self, rng: np.random.Generator, middle: Array) -> pin.SE3:
-        """How the true surface lies in the nominal plane's frame; ``middle (2,)`` is that of the line [m]."""
+        """Draws the true surface's pose in the nominal plane's frame; ``middle (2,)`` is that of the line [m]."""
         size = np.array([1e-3 * self.height_mm, math.radians(self.tilt_deg), math.radians(self.tilt_deg)])
         height, about_x, about_y = size * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
         about = pin.SE3(np.eye(3), np.array([*middle, 0.0]))
@@ -123,7 +123,7 @@ class LineTables(Protocol):
 
     @property
     def reference(self) -> Reference:
-        """The path that the arm takes where no camera corrects it."""
+        """The path of the arm without corrections by a camera."""
 
     @property
     def displacement(self) -> Displacement:
@@ -154,7 +154,7 @@ class Geometry:
 
 
 def geometry(scene: LineTables, rng: np.random.Generator) -> Geometry:
-    """Reference path and drawn line of a scene; ``rng`` draws where the line really is."""
+    """Reference path and drawn line of a scene; ``rng`` draws the line's true place."""
     nominal = _nominal(scene)
     along, across, turn = scene.displacement.draw(rng)
     chord = nominal[-1] - nominal[0]
@@ -192,7 +192,7 @@ def _lifted(xy: Array, plane: pin.SE3) -> Array:
 
 
 class CameraTable(Table):
-    """The camera, and what it does to picture and time."""
+    """The camera with the errors of its picture and time stamps."""
 
     width: int = pydantic.Field(default=320, ge=64, le=1280)
     height: int = pydantic.Field(default=240, ge=48, le=1024)
@@ -245,7 +245,7 @@ class CameraTable(Table):
 
 
 class Calibration(Table):
-    """Sizes of the errors between the camera as mounted and what is believed of it; the seed draws their signs."""
+    """Sizes of the errors between the true camera and its assumed calibration; the seed draws their signs."""
 
     roll_deg: float = pydantic.Field(default=0.3, ge=0, le=10)
     pitch_deg: float = pydantic.Field(default=0.3, ge=0, le=10)
@@ -269,7 +269,7 @@ def check_clock(camera: CameraTable, calibration: Calibration) -> None:
 
 
 def believed_camera(table: CameraTable, told: Calibration | None = None) -> CameraModel:
-    """The camera as mounted by hand, with the readout of its data sheet."""
+    """The camera with its nominal mounting and the readout time of its data sheet."""
     mounted = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
                                   default_mount(table.mount_height, table.mount_ahead))
     rolling_ms = None if told is None else told.rolling_ms
@@ -277,7 +277,7 @@ def believed_camera(table: CameraTable, told: Calibration | None = None) -> Came
 
 
 def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Generator) -> CameraModel:
-    """The camera as it is: the believed one with errors of the table's sizes.
+    """The true camera: the assumed one with errors of the table's sizes.
 
     Args:
         believed, table: the camera as it is calibrated, and the sizes of its errors, in the units of their keys.

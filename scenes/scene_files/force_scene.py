@@ -1,4 +1,4 @@
-"""The force scenes as a file: surface that nobody knows, tip, force sensor, what is wanted and what is assumed."""
+"""The files of force scenes: unknown surface, tip, force sensor, desired motion and assumptions."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class SensorTable(Table):
 
 
 class Assumed(Table):
-    """What the planning side believes, as a ratio to what calibration found; 1 is right."""
+    """The planner's assumptions, as ratios to the calibrated values; 1 is right."""
 
     elasticity_ratio: float = pydantic.Field(default=1.0, gt=0)
     distance_ratio: float = pydantic.Field(default=1.0, gt=0)
@@ -79,19 +79,19 @@ class Assumed(Table):
 
 
 class Emergency(Table):
-    """When to stop on the path."""
+    """Limits at which the arm stops on the path."""
 
     force: float = pydantic.Field(default=80.0, gt=0)
     lost: float = pydantic.Field(default=0.1, gt=0)
     share: float = pydantic.Field(default=1.0, gt=0, le=2)
 
     def limits(self) -> StopLimits:
-        """The limits as the stop conditions take them."""
+        """The limits as an object for the stop conditions."""
         return StopLimits(**self.model_dump())
 
 
 class CameraTrouble(Table):
-    """What happens to the camera on the way; times count from the beginning of the travel [s]."""
+    """Faults of the camera during the run; times are from the beginning of the travel [s]."""
 
     loss: Span = ()
     """From and to: nothing arrives."""
@@ -160,7 +160,7 @@ class ForceScene(Scene):
             return self
         for table, keys in _SEEN.items():
             settings, usual = getattr(self, table), type(self).model_fields[table].default
-            # A table that is begun fills itself up; what the file has is named first.
+            # A table with any key gets all its defaults; keys of the file are named first.
             for key in sorted(keys or type(usual).model_fields, key=lambda key: key not in settings.model_fields_set):
                 if getattr(settings, key) != getattr(usual, key):
                     raise InputError(f'is used only with task = "glue"; leave it out with "{self.task}"',

@@ -1,4 +1,4 @@
-"""The line-following scene as a file: surface, drawn line, where it really is, camera and its errors."""
+"""The files of line scenes: surface, drawn line, its true place, camera and its errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from scenes.scene_files.scene import ARM, Box, Scene, Table
 
 
 class Wear(Table):
-    """What use has done to the drawn line and its light: sizes and counts; the seed draws the rest."""
+    """Wear of the drawn line and its light: sizes and numbers; the seed draws the rest."""
 
     grain: Literal["none", "paper", "wood", "metal"] = "none"
     """What the bare surface looks like: even, or with the speckle or streaks of a material."""
@@ -42,7 +42,7 @@ class Wear(Table):
 
 
 class Light(Table):
-    """A lamp beside the cell; where it stands, the seed draws. Without sizes there is light from everywhere."""
+    """A lamp beside the cell; the seed draws its place. Without sizes the light is uniform."""
 
     height_m: float = pydantic.Field(default=1.6, gt=0.3, le=10)
     """Of the lamp above the surface."""
@@ -70,7 +70,7 @@ class LineScene(Scene):
 
     @property
     def arm(self) -> Robot:
-        """The robot with the scene's tool on."""
+        """The robot with the scene's tool."""
         return arm_of(self.robot).with_tool(1e-3 * self.tool_mm, math.radians(self.tool_turn_deg))
 
     workshop: ClassVar[dict[str, dict[str, Any]]] = {

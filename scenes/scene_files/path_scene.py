@@ -1,4 +1,4 @@
-"""Scene of kind ``path``: a tool path known beforehand, played with every way of correcting commands."""
+"""Scenes of kind ``path``: a tool path known beforehand, run with every way of correcting commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REST_BEFORE, REST_AFTER = 0.9, 0.6
 
 
 class Figure(Table):
-    """The figure and where it lies."""
+    """The figure of the path and its place."""
 
     shape: Literal["iso9283", "triangle", "circle", "edge"]
     size_mm: float = pydantic.Field(gt=1.0, le=3000.0)
@@ -43,7 +43,7 @@ class Figure(Table):
 
 
 class Paper(Table):
-    """What the paper reports for this path, for the table."""
+    """The paper's results for this path, for the table."""
 
     E_car_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)
     E_max_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)
@@ -67,13 +67,13 @@ class PathScene(Scene):
 
 @dataclass(frozen=True)
 class JointPath:
-    """The path as the ideal robot gets it.
+    """The path as the input of the ideal robot.
 
     Attributes:
         q_d: desired joint positions at the cycles ``(N, n)`` [rad], rest before and behind included.
         x_d: desired TCP positions ``(N, 3)`` [m].
         t: ``(N,)`` [s].
-        counts: where errors count ``(N,)``: while the path is under way.
+        counts: where errors are evaluated ``(N,)``: during the motion along the path.
     """
 
     q_d: Array
@@ -103,7 +103,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
     tool = tool_path(shape, plane, scene.speed, figure.acceleration, t_ipo, rotation=rotation, turn=turn)
     try:
         q = robot.home
-        # From home in small steps: the arm keeps the posture (elbow, wrist) it has there.
+        # From home in small steps, so that the arm keeps its posture (elbow, wrist).
         for share in np.linspace(0.05, 1.0, 20):
             q = kinematics.solve(pin.SE3.Interpolate(home, tool.poses[0], float(share)), q)
         moved = kinematics.path(tool.poses, q)

@@ -1,4 +1,4 @@
-"""What scenes of every kind have: a person writes which robot does what in which world."""
+"""The keys that scenes of every kind have: which robot does what in which world."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ideal_robot.errors import IdealRobotError, InputError, found_in
 from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.collisions import Obstacle
 
-# Where a scene plays: in a ``workshop`` with an arm that nobody calibrated and a worn line, on the kind ``bench``, or
-# in a ``cell`` as it is, whose arm and pictures have all that real ones have besides.
+# The world of a scene: ``workshop`` with an uncalibrated arm and a worn line, ``bench`` with few errors, or ``cell``
+# with all effects that real arms and pictures have.
 #
 # Each is a set of values that hold where a scene file does not say otherwise; each value can be given in the file.
 
@@ -92,7 +92,7 @@ Span = Annotated[tuple[float, ...], pydantic.AfterValidator(_from_to)]
 
 
 class Box(Table):
-    """A box that stands in the cell: no planned motion may lead the arm into it."""
+    """A box that stands in the cell; planned motions avoid it."""
 
     middle: tuple[float, float, float]
     """In the base frame [m]."""
@@ -103,7 +103,7 @@ class Box(Table):
 
 
 class Scene(Table):
-    """What every kind of scene has; the kinds add their own keys."""
+    """The keys of every kind of scene; the kinds add their own."""
 
     name: str
     kind: str
@@ -157,7 +157,7 @@ class Scene(Table):
 
     @classmethod
     def usual(cls, base: str) -> dict[str, dict[str, Any]]:
-        """What the world ``base`` of this kind of scene has where its file says nothing, by table."""
+        """Default tables of this kind of scene in the world ``base``, by table."""
         if base == BENCH:
             return {}
         more = cls.cell if base == CELL else {}
@@ -174,18 +174,18 @@ class Scene(Table):
 
     @property
     def arm_world(self) -> dict[str, Any]:
-        """The table ``world`` as ``World.from_table`` takes it: what the arm is like."""
+        """The table ``world`` of the arm's settings, as ``World.from_table`` takes it."""
         own = {key: value for key, value in self.world.items() if key != "base"}
         return {"cell": True, **own} if self.world.get("base") == CELL and own.get("ideal") is not True else own
 
     @property
     def folder(self) -> Path | None:
-        """Where the scene file lies, for files beside it; None for a scene made in memory."""
+        """Folder of the scene file, for files beside it; None for a scene made in memory."""
         return self._folder
 
     @property
     def source(self) -> str:
-        """What messages about its keys name: the scene file, or the scene where it was made in memory."""
+        """Name of the scene in error messages: its file, or its name where it was made in memory."""
         return f"scene {self.name}" if self._source is None else str(self._source)
 
     def beside(self, folder: Path | None) -> Self:
@@ -218,14 +218,14 @@ class Scene(Table):
                              field="max_duration", value=self.max_duration)
 
     def played(self) -> dict[str, Any]:
-        """What every ``--json`` says of what was played: the scene, its robot, seed, world and arm, and whose model."""
+        """Entries of every ``--json`` about the run: scene, robot, seed, world, arm, and the model's source."""
         return {"scene": self.name, "robot": self.robot, "seed": self.seed, "world": self.world.get("base", BENCH),
                 "individual": self.world.get("individual", 1), "model": self.model}
 
     def changed(self, **changes: Any) -> Self:
         """A checked copy with some keys changed; nested tables are given as dictionaries and merged.
 
-        What was not given follows the world: ``changed(world="bench")`` takes all of the workshop away.
+        Keys that were not given follow the world: ``changed(world="bench")`` removes all defaults of the workshop.
         """
         values = self.model_dump() if self._given is None else deepcopy(self._given)
         for key, value in changes.items():
@@ -239,7 +239,7 @@ class Scene(Table):
 
 
 def scene_in_file(model: type[S], values: dict[str, Any], path: Path) -> S:
-    """The scene of a file, in which paths are as seen from the file's folder.
+    """Makes the scene of a file; relative paths in it start from the file's folder.
 
     Args:
         model, values, path: as for ``scene_of``, whose errors it raises.
@@ -251,7 +251,7 @@ def scene_in_file(model: type[S], values: dict[str, Any], path: Path) -> S:
 
 
 def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
-    """The scene that these values describe.
+    """Makes the scene that these values describe.
 
     Args:
         model, values, path: as for ``validated``, whose errors it raises.
@@ -266,10 +266,10 @@ M = TypeVar("M", bound=pydantic.BaseModel)
 
 
 def validated(model: type[M], values: dict[str, Any], path: Path) -> M:
-    """The object that the values of a file describe.
+    """Makes a checked object from the values of a file.
 
     Args:
-        model, values: its class, and keys as they stand in the file.
+        model, values: its class, and keys as in the file.
         path: of the file, for messages.
 
     Raises:
@@ -303,37 +303,37 @@ def _keys_at(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list
 
 
 def boxes_of(scene: Scene) -> tuple[Box, ...]:
-    """What a scene says stands in its cell; a clamped arm's says nothing."""
+    """The boxes in a scene's cell; none for a clamped arm."""
     return getattr(scene, "box", ())
 
 
 def obstacles(boxes: Sequence[Box]) -> list[Obstacle]:
-    """The boxes of a scene where they stand, numbered from 1."""
+    """The boxes of a scene as obstacles, numbered from 1."""
     return [Obstacle(f"box {i}", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, math.radians(box.heading_deg)),
                                          np.array(box.middle)), box.size) for i, box in enumerate(boxes, 1)]
 
 
 def box_edges(boxes: Sequence[Box]) -> dict[str, Array]:
-    """Edges of a scene's boxes by name, each one way ``(16, 3)`` [m]."""
+    """Edges of a scene's boxes by name, each a polyline ``(16, 3)`` [m]."""
     return {box.name: box.edges() for box in obstacles(boxes)}
 
 
 class SceneError(IdealRobotError):
-    """Root of the failures of this package; bad input is ``ideal_robot.errors.InputError``."""
+    """Root of this package's errors during a run; bad input is ``ideal_robot.errors.InputError``."""
 
 
 def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
            n_d: int | None = None, world: str | None = None) -> S:
-    """The scene with options in place of its own values; InputError for a kind without, or a value that is too small.
+    """The scene with options in place of its own values; InputError for options that its kind does not have.
 
     Args:
         scene: to change.
         speed: along the path [m/s]; the scene's own if None.
         seed: of all that is drawn; the scene's own if None.
-        individual: which arm of the type plays, with the model its own identification motions give unless the scene
-            names a model file; the scene's own arm and model if None.
+        individual: which arm of the type is simulated, with the model from its own identification motions unless the
+            scene names a model file; the scene's own arm and model if None.
         n_d: desired positions that the feedforward is given ([L] 2.2); the scene's own if None.
-        world: where the scene plays, ``workshop``, ``bench`` or ``cell``; where its file says if None.
+        world: world of the scene, ``workshop``, ``bench`` or ``cell``; where its file says if None.
     """
     changes: dict[str, Any] = {}
     if speed is not None:

@@ -75,7 +75,7 @@ class _Checked(ast.NodeTransformer):
 
 
 def evaluated(formula: str, x: Array) -> Array:
-    """The formula at every ``x``: ``(N,)``, finite.
+    """The formula's values at every ``x``: ``(N,)``, finite.
 
     Args:
         formula: an expression of ``x``, ``pi``, ``e``, numbers, ``+ - * / % **``, comparisons and ``FUNCTIONS``.
@@ -90,7 +90,7 @@ def evaluated(formula: str, x: Array) -> Array:
     shown = formula if len(formula) <= 60 else formula[:57] + "..."
     names = {**FUNCTIONS, **NAMES, "x": x, "__builtins__": {}}
     try:
-        # Python folds look-alike letters into plain ones; only what the eye can distinguish is read.
+        # Python normalises look-alike letters, so only ASCII is accepted.
         if len(formula) > MAX_LENGTH or not formula.isascii() or not formula.isprintable():
             raise ValueError(f"longer than {MAX_LENGTH} characters, or of other than plain ones")
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -139,7 +139,7 @@ def first_path(name: str, folder: Path) -> Any:
         d = _first_d(text, file)
         if d is not None:
             return parsed_path(d)
-        # No path element: svgpathtools makes paths of lines, polygons and ellipses.
+        # The file has no path element, but svgpathtools converts lines, polygons and ellipses to paths.
         import svgpathtools
 
         paths, _ = svgpathtools.svg2paths(io.StringIO(text))
@@ -174,7 +174,7 @@ def parsed_path(d: str) -> Any:
 
     try:
         path = svgpathtools.parse_path(d)
-    except Exception as error:  # svgpathtools raises whatever its tokens lead to
+    except Exception as error:  # svgpathtools raises exceptions of many types
         raise InputError(f"broken SVG path ({type(error).__name__}: {error})", field="line.svg",
                          value=d[:60]) from error
     if len(path) > MAX_SEGMENTS:
@@ -289,7 +289,7 @@ def _even(raw: Array) -> Array:
     if not s[-1] <= LONGEST:
         raise InputError(f"the line is longer than {LONGEST:g} m; is the unit right?", field="line", value=float(s[-1]))
     even = np.linspace(0.0, s[-1], round(s[-1] / STEP) + 1)
-    # Straight pieces have few points: linear between them; curves come finely sampled and get a spline.
+    # Curves with few points are polygons and stay linear; finely sampled ones get a spline.
     if len(raw) > 300:
         return np.asarray(CubicSpline(s, raw)(even), dtype=float)
     return interpolated(even, s, raw)

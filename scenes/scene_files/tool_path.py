@@ -1,7 +1,7 @@
-"""Tool paths made of straight lines and arcs, with a timing law: what a path planner of an industrial controller does.
+"""Tool paths of straight lines and arcs with a timing law, as a path planner of an industrial controller makes them.
 
-Pieces that meet in a tangent are travelled through; where they meet in a corner the tool stops. Speed follows a
-trapezoid whose ramps are sin² in acceleration, so acceleration and its rate are continuous.
+The tool moves through segments that join tangentially, and stops at corners. Speed follows a trapezoid whose ramps are
+sin² in acceleration, so acceleration and its rate are continuous.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from ideal_robot.tolerances import LONGEST_PATH
 
 @dataclass(frozen=True)
 class Line:
-    """A straight piece to ``end (2,)`` [m] in the plane of the path."""
+    """A straight segment to ``end (2,)`` [m] in the plane of the path."""
 
     end: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Arc:
-    """A circular piece about ``centre (2,)`` [m] through ``angle`` [rad], positive counter-clockwise."""
+    """A circular segment about ``centre (2,)`` [m] through ``angle`` [rad], positive counter-clockwise."""
 
     centre: tuple[float, float]
     angle: float
@@ -33,13 +33,13 @@ class Arc:
 
 @dataclass(frozen=True)
 class Shape:
-    """A plane figure: where it starts, and its pieces in order."""
+    """A plane figure: its starting point and its segments in order."""
 
     start: tuple[float, float]
     pieces: tuple[Line | Arc, ...]
 
     def runs(self) -> list[list[tuple[Array, float, Line | Arc]]]:
-        """Pieces between stops, each with its start point ``(2,)`` and length [m]."""
+        """Segments between stops, each with its start point ``(2,)`` and length [m]."""
         runs: list[list[tuple[Array, float, Line | Arc]]] = []
         here, heading = np.array(self.start, dtype=float), None
         for piece in self.pieces:
@@ -106,7 +106,7 @@ def travel(length: float, speed: float, acceleration: float, t: Array) -> tuple[
 
     Args:
         length: of the way from stop to stop [m].
-        speed: wanted [m/s]; reached only where the way is long enough.
+        speed: wanted [m/s]; reached only where the length suffices.
         acceleration: largest [m/s²].
         t: [s].
     """
@@ -151,8 +151,8 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
               rotation: Array | None = None, turn: tuple[tuple[float, float, float], float] | None = None) -> ToolPath:
     """Times a plane figure and gives it a tool orientation.
 
-    Raises InputError for speed or acceleration not positive, a speed that no part of the path is long enough for, or
-    one so low that the path lasts too long.
+    Raises InputError for speed or acceleration not positive, a speed that is reached nowhere on the path, or one so low
+    that the path lasts too long.
 
     Args:
         shape, plane: the figure in the x-y plane of ``plane``, which is in the base frame.

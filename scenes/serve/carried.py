@@ -1,4 +1,4 @@
-"""The camera and the force sensor of a served cell: they measure on clocks of their own and send when it is due."""
+"""Camera and force sensor of a served cell: they measure on their own clocks and send at their due times."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CameraDevice:
     """The description that a camera's process gets at its start.
 
     Attributes:
-        camera: draws what the true camera sees.
+        camera: the simulated camera.
         rate: pictures a second [Hz].
         address: of this computer on which it listens; port 0 for any free one.
         topic: of ROS 2 on which pictures are published, too; None without one.
@@ -68,7 +68,7 @@ class CameraDevice:
 
 @dataclass(frozen=True)
 class Exposure:
-    """A picture to be drawn: number, stamp and arrival [s], what ``LiveCamera.picture`` is given, the stamp's clock."""
+    """A picture to be drawn: number, stamp, arrival [s], arguments of ``LiveCamera.picture``, and the stamp's clock."""
 
     number: int
     stamp: float
@@ -80,15 +80,15 @@ class Exposure:
 
 
 def draw_and_send(pipe: Connection) -> None:
-    """The camera's process: listens, draws what somebody looks at, and sends it when it is due.
+    """Runs the camera's process: listens for clients, draws pictures while there are any, and sends them.
 
-    The camera comes in, then exposures, None for the end; out go the address, or why there is none, then one word a
-    picture.
+    The pipe delivers the camera, then exposures, and None for the end; it returns the address, or an error, then one
+    word per picture.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         device: CameraDevice = pipe.recv()
-    except (EOFError, OSError):  # whoever began this process has ended
+    except (EOFError, OSError):  # the process that started this one has ended
         return
     model, clock = device.camera.model, device.clock
     with ExitStack() as stack:
@@ -120,13 +120,13 @@ def draw_and_send(pipe: Connection) -> None:
 
 
 class ServedCamera:
-    """Exposes while the arm moves; a process of its own draws and sends whole pictures.
+    """Exposes while the arm moves; a separate process draws and sends whole pictures.
 
     Args:
         device: the camera.
-        settings: exposure, latency and what is wrong with the stamps.
+        settings: exposure, latency and errors of the stamps.
         pose_at: true pose of the tool at a time of the session [s].
-        shape_at: what of the arm may stand in the lamp's way then.
+        shape_at: parts of the arm that may cast a shadow at a time.
         rng: of jitter, stamps and losses.
 
     Raises:
@@ -147,7 +147,7 @@ class ServedCamera:
         self._process = context.Process(target=called, args=("scenes.serve.carried:draw_and_send", theirs), daemon=True)
         self._process.start()
         theirs.close()
-        # By the pipe, not as an argument: a process whose parent ends while it reads arguments prints a traceback.
+        # Sent by the pipe, not as an argument: a process whose parent ends while it reads arguments prints a traceback.
         with suppress(OSError):
             self._pipe.send(device)
         reply = self._pipe.recv() if self._pipe.poll(_STARTS) else f"the camera does not begin within {_STARTS:g} s"
@@ -157,7 +157,7 @@ class ServedCamera:
         self.address: tuple[str, int] = reply
 
     def carry(self, t0: float, t1: float, host: float) -> None:
-        """See ``Carried.carry``."""
+        """Notifies the device that the arm has moved from ``t0`` to ``t1`` [s]; see ``Carried.carry``."""
         s, half = self._settings, 0.5 * self._settings.exposure
         end = host + (t1 - t0)
         # Exposures are evenly spaced on the camera's clock, whatever the arm does.
@@ -169,7 +169,7 @@ class ServedCamera:
             self.expose(t0 + instant - host, instant, self._clock)
 
     def expose(self, t: float, instant: float, clock: DeviceClock) -> None:
-        """Exposes once; the picture is drawn and sent elsewhere.
+        """Exposes once; the picture is drawn and sent by another process.
 
         Args:
             t: middle of the exposure, of the session [s].
@@ -214,7 +214,7 @@ class ServedForce:
         drift: by how much the sensor's clock runs fast.
         pose_at: true pose of the tool at a time of the session [s].
         force_at: true force on the tip in the base frame ``(3,)`` [N].
-        server: to whoever asked.
+        server: sends records to clients.
         outbox: sends when it is due.
     """
 
@@ -225,7 +225,7 @@ class ServedForce:
         self._number, self._next = 1000, 0.0
 
     def carry(self, t0: float, t1: float, host: float) -> None:
-        """See ``Carried.carry``."""
+        """Notifies the device that the arm has moved from ``t0`` to ``t1`` [s]; see ``Carried.carry``."""
         end = host + (t1 - t0)
         if self._next == 0.0:
             self._next = host
@@ -233,7 +233,7 @@ class ServedForce:
             instant, self._next = self._next, self._next + self._period
             self._number += 1
             if instant < host - 1.0:
-                # The whole program stood still: the sensor went on without anybody who could tell what it measured.
+                # The whole program was blocked: the samples of that time are lost.
                 continue
             t = t0 + instant - host
             sample = self._sensor.sample(t, self._pose_at(t), self._force_at(t))

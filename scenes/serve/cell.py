@@ -1,4 +1,4 @@
-"""From a scene to its simulated cell behind devices: controller, camera, force sensor, and what really happened."""
+"""A scene's simulated cell behind devices: controller, camera, force sensor, and the true results."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ class Places:
 
 
 class ServedCell:
-    """A cell in real time.
+    """A simulated cell in real time.
 
     Args:
         cell: the scene set up.
         arm: at its start.
-        line: what is drawn; None where nothing is.
-        contact: makes the contact of the tip anew; None where there is none.
+        line: the drawn line; None without one.
+        contact: creates a new contact of the tip; None without contact.
 
     Attributes:
         camera, force: where they listen; None where the scene has none.
@@ -95,11 +95,11 @@ class ServedCell:
         return self.arm.tcp_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.tcp
 
     def anew(self) -> None:
-        """The arm's time has begun anew, and so does that of the contact."""
+        """Restarts the times of arm and contact."""
         self.contact = None if self._new_contact is None else self._new_contact()
 
     def shape_at(self, t: float) -> tuple[Array, Array]:
-        """What of the arm may stand in a lamp's way at a time of the session [s], as capsules."""
+        """Parts of the arm that may cast a shadow at a time of the session [s], as capsules."""
         q = self.arm.q_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.q_a
         return self._bodies.at(q), self._bodies.radii
 
@@ -108,7 +108,7 @@ class ServedCell:
         return np.zeros(3) if self.contact is None or self.arm.t == 0 else self.contact.force_at(t)
 
     def truth(self, session: Session) -> dict[str, Any]:
-        """The truth of a session, which no device reports."""
+        """True figures of a session, which no device reports."""
         commands = np.array(session.commands)
         T, limits = self.arm.t_ipo, self.arm.robot.a_max
         steps = np.diff(commands, axis=0, prepend=commands[:1])
@@ -131,7 +131,7 @@ class ServedCell:
         figures = {"rms_error": float("nan"), "largest": float(force.max(initial=0.0))}
         touched = np.flatnonzero(force > 0.0)
         if len(touched) > 1:
-            # A calibration before has pressed, too; what counts is the last visit, between its ends.
+            # The calibration pressed before, too: the last contact is used, between its ends.
             apart = np.flatnonzero(np.diff(touched) > round(0.3 / STEP))
             first, last = touched[0 if not len(apart) else apart[-1] + 1], touched[-1]
             visit = slice(first, last + 1)
@@ -148,12 +148,12 @@ def beside_line(t: Array, tcp: Array, line: DrawnLine) -> dict[str, float]:
     Args:
         t: times ``(N,)`` [s].
         tcp: places of the tool then ``(N, 3)`` [m].
-        line: what is drawn.
+        line: the drawn line.
     """
     s, lateral = line.beside(tcp)
     counts = (s > 1e-6) & (s < line.length - 1e-6)
     if counts.any():
-        # A calibration before has visited the line, too; what counts is the last visit.
+        # The calibration visited the line before, too: the last visit is used.
         last = len(t) - int(np.argmax(counts[::-1]))
         outside = np.flatnonzero(~counts[:last])
         counts &= t >= t[int(outside[-1]) + 1 if len(outside) else 0] + SETTLING
@@ -215,7 +215,7 @@ def _loaded(cell: LineCell | ForceCell, start: Array) -> None:
 
 
 def line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
-    """The drawn line of a scene and what the camera sees of it."""
+    """The drawn line of a scene and the camera over it."""
     table, settings = scene.camera, CameraSettings.of(scene.camera)
     if table.rolling_ms > 0.0:
         raise InputError("a served camera exposes all rows together", field="camera.rolling_ms", value=table.rolling_ms)
@@ -235,14 +235,14 @@ _PRIORITY = 30
 
 def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int, json: Path | None,
                 say: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Serves a scene's cell; Ctrl-C and SIGTERM end it. Returns what happened in each session.
+    """Serves a scene's cell until Ctrl-C or SIGTERM; returns the results of each session.
 
     Args:
         scene: of kind ``line`` or ``force``.
         places: where the devices are.
-        unkind: what clocks and network do.
+        unkind: simulated faults of clocks and network.
         sessions: after how many it ends; 0 for no end.
-        json: file for what happened in the last session; None for none.
+        json: file for the results of the last session; None for none.
         say: prints a line.
 
     Raises:

@@ -1,8 +1,8 @@
-"""A scene's camera on an arm that is somewhere else: its states are read, and what the camera would see is sent.
+"""A scene's camera on an arm of another program: reads the arm's states and sends the rendered pictures.
 
-Time is the arm's. A picture is exposed at an instant of the controller's clock, from the joint angles that the
-controller reports about it, and stamped with that instant. By this computer's clock it was then what the states'
-stamps and arrivals say, so that a follower which relates the same clock in the same way finds the arm's pose in it.
+A picture is exposed at an instant of the controller's clock, from the joint angles that the controller reports about
+it, and stamped with that instant. By this computer's clock it was then what the states' stamps and arrivals say, so
+that a follower which relates the same clock in the same way finds the arm's pose in it.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _PRIORITY = 25
 
 @dataclass(frozen=True)
 class CameraPlaces:
-    """Where an arm is read, and where pictures of it go.
+    """Address of the arm and targets of its pictures.
 
     Attributes:
         arm: address of its interface.
@@ -78,7 +78,7 @@ class ArmElsewhere:
     Attributes:
         clock: how the controller's clock relates to this computer's.
         path: times [s], by the controller's clock, and places of the tool [m] while the arm moves, ``(4,)`` a row.
-        restarts: how often the controller's clock began anew.
+        restarts: how often the controller's clock restarted.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -88,7 +88,7 @@ class ArmElsewhere:
         self._q: deque[Array] = deque()
 
     def add(self, states: Sequence[ReportedState]) -> None:
-        """Takes states in the order in which they came; doubled and overtaken ones are passed over."""
+        """Adds states in the order of arrival; duplicates and overtaken ones are skipped."""
         for state in states:
             if not (np.isfinite(state.t) and np.isfinite(state.q).all()):
                 continue
@@ -109,7 +109,7 @@ class ArmElsewhere:
 
     @property
     def known(self) -> tuple[float, float]:
-        """The first and last time between whose neighbours angles are known [s]; NaN where there are none."""
+        """First and last time for which angles can be interpolated [s]; NaN where there are none."""
         return (self._t[1], self._t[-2]) if len(self._t) > 3 else (np.nan, np.nan)
 
     def q_at(self, t: float) -> Array:
@@ -125,12 +125,12 @@ class ArmElsewhere:
         return self._fk(self.q_at(t))
 
     def shape_at(self, t: float) -> tuple[Array, Array]:
-        """What of the arm may stand in a lamp's way at a time within ``known`` [s], as capsules."""
+        """Parts of the arm that may cast a shadow at a time within ``known`` [s], as capsules."""
         return self._bodies.at(self.q_at(t)), self._bodies.radii
 
 
 class CameraOfArm:
-    """Exposes evenly on the controller's clock, as soon as the states about an exposure are there.
+    """Exposes evenly on the controller's clock, once the states around an exposure are available.
 
     Args:
         arm: whose tool it is on.
@@ -140,16 +140,16 @@ class CameraOfArm:
 
     def __init__(self, arm: ArmElsewhere, camera: ServedCamera, settings: CameraSettings) -> None:
         self._arm, self._camera, self._period = arm, camera, 1.0 / settings.rate
-        # A picture is drawn once the states behind it are there, and not before the next one is due.
+        # A picture is drawn once the states after it are available, and before the next one is due.
         self._half, self._next = 0.5 * settings.exposure, np.nan
 
     def look(self) -> None:
-        """Exposes whatever can be exposed by now."""
+        """Makes all exposures whose states are available."""
         first, last = self._arm.known
         if not np.isfinite(first):
             return
         begin = first + self._half
-        # After a restart, or a pause in the states, what was missed is not made up for.
+        # After a restart, or a pause in the states, missed pictures are not made.
         if not begin <= self._next <= last + self._period:
             self._next = max(begin, last - self._half)
         while self._next + self._half <= last:
@@ -161,14 +161,14 @@ class CameraOfArm:
 
 def serve_camera(scene: Scene, places: CameraPlaces, unkind: Unkindness, json: Path | None, cycle: float | None,
                  say: Callable[[str], None]) -> dict[str, Any]:
-    """Sends what a scene's camera sees on an arm elsewhere; Ctrl-C and SIGTERM end it. Returns what happened.
+    """Sends the pictures of a scene's camera on another program's arm until Ctrl-C or SIGTERM; returns statistics.
 
     Args:
         scene: of kind ``line``.
         places: of the arm and of the pictures.
-        unkind: what the network does to pictures.
-        json: file for what happened; None for none.
-        cycle: in which states are wanted where they can be asked for [s]; the robot's if None.
+        unkind: simulated faults of the network.
+        json: file for the statistics; None for none.
+        cycle: requested cycle of the states, where it can be chosen [s]; the robot's if None.
         say: prints a line.
 
     Raises:
@@ -198,7 +198,7 @@ def serve_camera(scene: Scene, places: CameraPlaces, unkind: Unkindness, json: P
                     if (now() - heard > _SILENT) != silent:
                         silent = not silent
                         say("no states of the arm: no pictures" if silent else "states of the arm again")
-            # Before the camera's process has ended, which takes a while: a second Ctrl-C loses nothing.
+            # Written before the camera's process has ended, which takes a while: a second Ctrl-C loses nothing.
             figures = _figures(scene, cell, arm, camera)
             if json is not None:
                 write_json(json, figures)
@@ -227,7 +227,7 @@ def _camera(cell: Cell, scene: LineScene, arm: ArmElsewhere, places: CameraPlace
 
 
 def least_delay(camera: CameraTable) -> float:
-    """From mid-exposure to the soonest picture of a second, on average [s]: a topic tells no clock but by arrivals.
+    """Mean of the least delay from mid-exposure to arrival in each second [s], as a topic has no clock messages.
 
     Args:
         camera: of the scene, whose latency jitters normally.

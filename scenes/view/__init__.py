@@ -1,1 +1,1 @@
-"""The scene in a browser."""
+"""Shows scenes in a browser."""

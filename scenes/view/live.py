@@ -1,6 +1,7 @@
-"""A run on devices in a browser while it goes on: the arm, where it was, and what the run says.
+"""Shows a run on devices in a browser while it goes on: the arm, its path, and the run's state.
 
-It reads the journal that the follower writes, in a process of its own: whoever leads the arm does nothing for it.
+It reads the journal that the follower writes, in a process of its own: the process that commands the arm is not
+affected.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _COLOUR = (0, 110, 190)  # a blue
 
 
 class LiveView:
-    """Shows the run in a folder, as far as it has come, in a viewer with its arm; ``state`` is the page's text."""
+    """Shows the run in a folder up to its present state; ``state`` is the page's text."""
 
     def __init__(self, viewer: Viewer, folder: Path) -> None:
         self.viewer, self._folder = viewer, folder
@@ -40,7 +41,7 @@ class LiveView:
         self._say(f"waiting for a run in `{folder}`")
 
     def update(self) -> None:
-        """Looks for what has come since; to be called again and again."""
+        """Shows what was added since the last call; to be called repeatedly."""
         try:
             size = (self._folder / ROWS).stat().st_size
             count = size // (8 * (2 + 4 * self.viewer.robot.n))
@@ -112,7 +113,7 @@ class LiveView:
 
 
 def watch(robot: Robot, folder: Path, port: int, curves: dict[str, Array]) -> LiveView:
-    """The page of a folder's runs.
+    """Opens the page that shows a folder's runs.
 
     Args:
         robot: the arm.

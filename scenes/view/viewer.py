@@ -1,4 +1,4 @@
-"""An arm and what is around it in a browser (viser)."""
+"""Shows an arm and its surroundings in a browser (viser)."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class Viewer:
                                                               shaft_radius=0.008, head_radius=0.02, head_length=0.05)
 
     def look_at(self, place: Array, distance: float) -> None:
-        """A page that is opened looks at a place ``(3,)`` from a distance [m]."""
+        """Points the camera of new pages at ``place (3,)`` [m] from a distance [m]."""
         camera = self.server.initial_camera
         # Aimed to the right of the arm, which then appears left of the controls that cover the right of the picture.
         aim = np.asarray(place) + 0.12 * distance * np.array([0.66, 0.75, 0.0])
@@ -152,7 +152,7 @@ class Viewer:
         """A page that is higher than wide, as a phone's, sees the arm from farther away, above the controls."""
         if client.camera.aspect >= 1.0:
             return
-        # The page tells of its camera before it has taken the first view.
+        # The page reports its camera before it has set the first view.
         first = self.server.initial_camera
         aim, position = np.asarray(first.look_at), np.asarray(first.position)
         away = min(1.0 / client.camera.aspect, _FARTHEST) * (position - aim)
@@ -162,7 +162,7 @@ class Viewer:
 
     def surface(self, corners: Array) -> None:
         """Draws a flat surface with ``corners (4, 3)`` [m]."""
-        # A little lower than it is, so that what is drawn on it can be seen.
+        # Slightly lower than it is, so that drawings on it stay visible.
         lowered = np.asarray(corners) - [0.0, 0.0, 0.003]
         self.server.scene.add_mesh_simple("/surface", vertices=lowered,
                                           faces=np.array([[0, 1, 2], [0, 2, 3]]), color=(245, 245, 240), side="double",
@@ -174,7 +174,7 @@ MOST = 3000
 
 
 def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
-    """The recording and the arm it is of.
+    """Reads a recording; returns its arm and itself.
 
     Raises:
         InputError: the file does not say its robot and none is given, or their joint counts differ.
@@ -198,12 +198,12 @@ def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
 
 
 def recorded_replay(path: Path, arm: Robot, recording: Recording) -> Replay:
-    """What to show of a recording.
+    """The replay of a recording: the stored one, or one made from its columns.
 
     Args:
         path: of the recording; a replay of the same run beside it is taken.
         arm: the arm it is of.
-        recording: what the file holds.
+        recording: the recording in the file.
     """
     beside = replay_beside(path)
     replay = read_replay(beside, arm, recording) if beside.is_file() else None
@@ -211,17 +211,17 @@ def recorded_replay(path: Path, arm: Robot, recording: Recording) -> Replay:
 
 
 def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
-    """Arm, trace of the tool, and its distance from where it was wanted, from the columns alone.
+    """A replay of arm, tool path and tool error, from the recording's columns alone.
 
-    Wanted is ``q_d_i`` if there is one, else ``q_c_i``; without either there is no error. The arm is at ``qa_i`` if
-    measured, else at ``q_i``. Line points that a camera measured are drawn as a curve.
+    The desired position is ``q_d_i`` if there is one, else ``q_c_i``; without either there is no error. The arm is at
+    ``qa_i`` if measured, else at ``q_i``. Line points that a camera measured are drawn as a curve.
 
     Raises:
         InputError: positions are missing everywhere.
     """
     rows = np.unique(np.linspace(0, len(recording.t) - 1, MOST).astype(int))
     q = arm_angles(recording, rows)
-    # A gap in the positions is no posture that can be drawn.
+    # A posture with missing positions cannot be drawn.
     measured = np.isfinite(q).all(axis=1)
     rows, q = rows[measured], q[measured]
     if len(rows) < 2:
@@ -250,12 +250,12 @@ _MARGIN, _WIDTH, _CONTROLS = 15, 320, 310
 """On a wide page: plot and picture are so far from the right edge, so wide, and below the controls [px]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
-_COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))  # those of the next line
+_COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))  # colours of further lines
 _NAMES = ("black", "blue", "violet", "green")
 
 
 class Player:
-    """Controls for a replay beside the scene; ``show(k)`` shows one sample, ``play()`` all of them again and again."""
+    """Controls for a replay beside the scene; ``show(k)`` shows one sample, ``play()`` all of them repeatedly."""
 
     def __init__(self, viewer: Viewer, replay: Replay) -> None:
         self.viewer, self.replay = viewer, replay
@@ -275,7 +275,7 @@ class Player:
         shown = [f"{name} {colour}" for name, colour in zip(replay.curves, _NAMES, strict=False)]
         gui.add_markdown(", ".join([*shown, "tool green to red by its error"])
                          + (", force on the tool a blue arrow" if replay.force is not None else ""))
-        # The plot takes no gaps: only where the error counts.
+        # The plot cannot have gaps, so only rows with an error are used.
         counts = np.flatnonzero(np.isfinite(replay.error))
         self._rows = counts[np.unique(np.linspace(0, len(counts) - 1, _PLOTTED).astype(int))] if len(counts) else counts
         self.plot: Any = None
@@ -306,24 +306,24 @@ class Player:
         if replay.surface is not None:
             viewer.surface(replay.surface)
         for (name, points), colour in zip(replay.curves.items(), _COLOURS, strict=False):
-            # The tool's path lies on the line it follows: what is drawn on the surface is wider, what was planned
-            # is thin enough for the coloured path to cover it, a little above both.
+            # The tool's path lies on the line that it follows: the drawn line is wider, and the planned line thinner
+            # than the coloured path, which lies a little above both.
             viewer.draw(name.replace(" ", "_"), points, colour, thickness=9.0 if name == "drawn line" else 1.5)
         step = max(1, len(self._t) // 1500)
         above = replay.tool[::step] + np.array([0.0, 0.0, _ABOVE])
         viewer.draw("tool", above, error_colours(replay.error[::step])[1:], thickness=4.0)
-        # The 99th percentile, so that a shock does not make all else invisible.
+        # The 99th percentile, so that a shock does not make all other forces invisible.
         self._per_newton = 0.0 if replay.force is None else _ARROW / max(
             float(np.nanquantile(np.linalg.norm(replay.force, axis=1), 0.99)), 1e-9)
         self.tool = viewer.server.scene.add_icosphere("/tool", radius=0.008, color=(224, 106, 0))
 
     def show(self, k: int) -> None:
-        """Shows sample ``k``: arm, tool, picture and what the error is."""
+        """Shows sample ``k``: arm, tool, picture and the error in words."""
         replay = self.replay
         self.viewer.show(replay.q[k])
         self.tool.position = tuple(float(v) for v in replay.tool[k])
         if replay.force is not None and np.isfinite(replay.force[k]).all():
-            # It ends at the tool: on the other side it would be hidden in the wrist.
+            # The arrow ends at the tool: on the other side it would be hidden in the wrist.
             push = self._per_newton * replay.force[k]
             self.viewer.arrow("force", replay.tool[k] - push, push, (0, 110, 190))
         error = replay.error[k]
@@ -340,12 +340,12 @@ class Player:
     _shown_picture: Any = None
 
     def play(self) -> None:
-        """Plays again and again at the speed chosen; ends with the keyboard interrupt."""
+        """Plays the replay repeatedly at the chosen speed, until a keyboard interrupt."""
         while True:
             begun = time.perf_counter()
             if self.running.value:
                 factor = float(self.speed.value.split()[0])
-                # Setting the slider shows the sample as moving it by hand does.
+                # Setting the slider shows the sample, as moving it by hand does.
                 self.slider.value = float((self.slider.value + PERIOD * factor) % self._t[-1])
             time.sleep(max(0.0, PERIOD - (time.perf_counter() - begun)))
 
