@@ -1,4 +1,4 @@
-"""Makes a position-controlled arm ideal: models, feedforward, identification and diagnosis behind one door.
+"""Makes a position-controlled arm ideal: models, feedforward, identification and diagnosis in one namespace.
 
     import ideal_robot as ir
 
@@ -7,7 +7,7 @@
     model = ir.identify(recording, robot).model
     corrected = ir.precorrect(t, q_d, model, robot)
 
-What stands here is imported when it is used for the first time, so that ``import ideal_robot`` is cheap.
+Names are imported when they are used for the first time, so that ``import ideal_robot`` is cheap.
 """
 
 from __future__ import annotations

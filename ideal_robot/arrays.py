@@ -1,4 +1,4 @@
-"""What all rooms share of numbers: the array type, motions from rest to rest, rows, gravity."""
+"""Array helpers that all packages share: the array type, motions from rest to rest, rows."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ GRAVITY = np.array([0.0, 0.0, -G])
 
 
 def eased(share: Array) -> Array:
-    """Way from rest to rest over the share of the time: both from 0 to 1, without a jump of the acceleration.
+    """Smooth motion from rest to rest: distance from 0 to 1 over time from 0 to 1, with continuous acceleration.
 
-    The polynomial s³ (10 - 15 s + 6 s²) has 1.875 times the mean speed, and 5.774 times the way over the squared
+    The polynomial s³ (10 - 15 s + 6 s²) has 1.875 times the mean speed, and 5.774 times the distance over the squared
     duration as acceleration, at its peaks.
     """
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
 
 def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float) -> Array:
-    """Positions ``(K, n)`` at the cycles of the quickest such motion of all axes together, the start left out.
+    """Positions ``(K, n)`` at the cycles of the fastest common ``eased`` motion of all axes, without the start.
 
     Args:
         start, end: ``(n,)``, at rest.
@@ -44,19 +44,19 @@ def arc_lengths(points: Array) -> Array:
 
 
 def interpolated(at: NDArray[Any], t: NDArray[Any], rows: Array) -> Array:
-    """Rows between rows ``(m, n)``: linear in between, and as the first and the last beyond them.
+    """Rows interpolated linearly between given rows; constant beyond their ends.
 
     Args:
-        at: where they are wanted ``(m,)``.
-        t, rows: where rows are known, rising ``(N,)``, and those ``(N, n)``.
+        at: times of the result ``(m,)``.
+        t, rows: rising times of the given rows ``(N,)``, and the rows ``(N, n)``.
     """
     return np.column_stack([np.interp(at, t, column) for column in rows.T])
 
 
 def held(rows: Array, *, before: int = 0, after: int = 0) -> Array:
-    """Rows ``(N, …)``, at least one, with the first one repeated ahead and the last one behind.
+    """Rows ``(N, …)`` padded: the first one repeated before, the last one after them.
 
     Args:
-        rows, before, after: what is repeated, and how often the first and the last of it are.
+        rows, before, after: the rows, and the numbers of repetitions of the first and the last one.
     """
     return np.concatenate([np.repeat(rows[:1], before, axis=0), rows, np.repeat(rows[-1:], after, axis=0)])

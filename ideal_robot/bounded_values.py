@@ -1,8 +1,8 @@
-"""Reading what others wrote within bounds: the table of what files may hold at most, and JSON and TOML.
+"""Reads foreign files within bounds: the table of limits for all files, and readers of JSON and TOML.
 
 Small files can unfold to large ones: a chunk of zeros, a row of a million commas, a list of empty lists. So a reader
-counts before memory is taken for what a file claims, in the packed file or piece by piece, and refuses with the numbers
-that stand here (docs/security.md).
+counts the content before it allocates memory, in the packed file or piece by piece, and refuses more than these limits
+(docs/security.md).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Limit(NamedTuple):
     why: str
 
     def check(self, count: float, file: str | Path | None, remedy: str = "") -> None:
-        """Refuses more than ``most``; raises InputError.
+        """Raises InputError for a ``count`` above the limit.
 
         Args:
             count: how many a file holds, or claims to.
@@ -65,15 +65,15 @@ BAG_WORDS = Limit(1_000_000, "bytes of a bag's metadata.yaml", "a topic takes ha
 PICTURE_PIXELS = Limit(64_000_000, "pixels of a picture", "8000 × 8000")
 REPLAY_BYTES = Limit(200_000_000, "bytes of an unpacked replay", "that of a shipped line takes 0.4 MB")
 ALL = tuple(value for value in list(globals().values()) if isinstance(value, Limit))
-_FREE = {TABLE_UNFOLDING: 160_000_000, BAG_UNFOLDING: 64_000_000}  # as their limits say
+_FREE = {TABLE_UNFOLDING: 160_000_000, BAG_UNFOLDING: 64_000_000}  # free amounts, as the texts of these limits say
 
 
 def check_unfolding(limit: Limit, unpacked: float, packed: float, file: Path) -> None:
-    """Refuses a file that unfolds to far more than its size; raises InputError.
+    """Raises InputError for a file that unpacks to far more than its size.
 
     Args:
         limit: ``TABLE_UNFOLDING`` or ``BAG_UNFOLDING``.
-        unpacked, packed: what it unpacks to, and its size [bytes].
+        unpacked, packed: unpacked and packed size [bytes].
         file: for the message.
     """
     if unpacked > _FREE[limit] + limit.most * packed:
@@ -97,7 +97,7 @@ def read_text(path: Path, what: str, limit: Limit = JSON_BYTES) -> str:
 
     Args:
         path: the file.
-        what: what it should be, for the message, e.g. ``"a model file"``.
+        what: expected kind of file, for the message, e.g. ``"a model file"``.
         limit: of its size.
     """
     try:
@@ -120,7 +120,7 @@ def parsed_json(text: str, file: str | Path | None, what: str) -> Any:
 
     Args:
         text: of any length.
-        file, what: where it stands, and what it should be (``"a model file"``), for the message.
+        file, what: its file, and the expected kind (``"a model file"``), for the message.
     """
     _few_and_shallow(text, file, what)
     return _parsed(json.loads, text, file, what)
@@ -189,12 +189,12 @@ def _number(value: float, path: _Path, file: str | Path | None) -> None:
 def _few_and_shallow(text: str, file: str | Path | None, what: str) -> None:
     """Refuses what a parser would need too much memory or too deep a stack for, by signs outside quotes."""
     bare = _QUOTED.sub("", text)
-    # Every value but the first comes after a comma or is the first of its list or table.
+    # Each value but the first follows a comma or begins a list or table, so these are counted.
     JSON_VALUES.check(bare.count(",") + bare.count("[") + bare.count("{"), file)
     depth = 0
     for bracket in re.finditer(r"[\[{\]}]", bare):
         depth += 1 if bracket.group() in "[{" else -1
-        # Quotes that never close hide brackets or show too many; the parser itself names those.
+        # Unclosed quotes hide brackets or show too many; the parser itself reports those.
         if depth > 20 * JSON_DEPTH.most:
             raise InputError(f"nested deeper than {JSON_DEPTH.most}; is this {what}?", file=file)
 
@@ -205,7 +205,7 @@ def _short(error: BaseException) -> str:
 
 @contextmanager
 def kept_words() -> Iterator[IO[bytes]]:
-    """Yields the file that gets what is written to standard error, below Python, while the block runs."""
+    """Yields a temporary file that collects the standard error of the process, libraries included, within the block."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as stream:
         before = os.dup(2)

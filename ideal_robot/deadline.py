@@ -1,4 +1,4 @@
-"""Until when something is waited for, by the one clock that neither jumps nor goes back."""
+"""A deadline for waiting, on a clock that neither jumps nor goes back."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Deadline:
 
     @property
     def left(self) -> float:
-        """What is left [s], ``LONGEST`` at most; 0 when it has passed."""
+        """Remaining time [s], ``LONGEST`` at most; 0 when the deadline has passed."""
         return min(max(self.end - time.perf_counter(), 0.0), LONGEST)
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is left."""
+        """Whether the deadline has passed."""
         return self.left == 0.0

@@ -1,4 +1,4 @@
-"""The errors of the package: one root, bad input apart from failures while running."""
+"""The errors of the package: one root, with bad input separate from failures at run time."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class InputError(IdealRobotError):
     """Something the user gave cannot be used; the command line turns it into one line and exit code 2.
 
     Args:
-        message: what was found and what was expected, including the remedy.
-        file: the file it was found in, if any.
-        field: the key, column or option it was found in, if any.
+        message: the finding, the expectation and the remedy.
+        file: the file in question, if any.
+        field: the key, column or option in question, if any.
         value: the offending value, if it is short enough to show.
 
     >>> print(InputError("expected a positive number", file="arm.toml", field="t_ipo", value=-1))
@@ -41,7 +41,7 @@ class InputError(IdealRobotError):
 
 
 def did_you_mean(wanted: str, names: Iterable[str]) -> str:
-    """The question after the name that a misspelt one comes nearest to; empty where none is near.
+    """A question that proposes the name nearest to a misspelt one; empty where none is near.
 
     >>> did_you_mean("strait", ["line", "straight"])
     "did you mean 'straight'? "
@@ -52,7 +52,7 @@ def did_you_mean(wanted: str, names: Iterable[str]) -> str:
 
 @contextmanager
 def found_in(file: str | Path | None) -> Iterator[None]:
-    """Names the file in bad input that is found within and names none.
+    """Adds a file name to InputErrors without one that are raised within the block.
 
     >>> with found_in("arm.toml"):
     ...     raise InputError("must be positive", field="t_ipo")
@@ -68,9 +68,9 @@ def found_in(file: str | Path | None) -> Iterator[None]:
 
 
 class RaisedBy:
-    """Notes on what is raised within which part, perhaps of a package outside, raised it, and what it was doing.
+    """Notes on exceptions raised within the block which part, perhaps of another package, raised them, and when.
 
-    Stands in control cycles, where a ``contextmanager`` costs four times as much.
+    It is used in control cycles, where a ``contextmanager`` costs four times as much.
     """
 
     __slots__ = ("part",)
@@ -87,7 +87,7 @@ class RaisedBy:
 
 
 def described(error: BaseException) -> str:
-    """What is wrong; of what was not raised on purpose also its type, and the part that raised it (``RaisedBy``).
+    """The error's message; for unexpected errors also the type and the part that raised it (``RaisedBy``).
 
     >>> try:
     ...     with RaisedBy("method mine: step"):
@@ -101,12 +101,12 @@ def described(error: BaseException) -> str:
 
 
 class LimitError(IdealRobotError):
-    """A command would leave a limit of the robot.
+    """A command would exceed a limit of the robot.
 
     Args:
         joint: joint counted from 1, or 0 where the whole arm is meant.
         quantity: what is limited, with unit, e.g. ``"velocity [rad/s]"``.
-        value, limit: what is asked for, and the limit it would leave.
+        value, limit: the requested value, and the limit.
         remedy: what the user can do.
     """
 

@@ -1,4 +1,4 @@
-"""The makers' interfaces by the scheme of their address, and how an arm behind one of them is opened.
+"""Opens arms behind makers' interfaces by their addresses.
 
 A package outside adds one by ``INTERFACES.register`` or an entry point of the group ``ideal_robot.interfaces``.
 """
@@ -24,7 +24,7 @@ from ideal_robot.robots.state_reader import StateReader
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """What is known of a controller beside its address.
+    """Known settings of a controller, besides its address.
 
     Attributes:
         bridge: how long packets may be lost in a row [s].
@@ -41,7 +41,7 @@ class LinkSettings:
     controller: str | None = None
 
     def given(self) -> dict[str, Any]:
-        """The settings of every link, those that are given."""
+        """The settings that were given, as arguments of a link."""
         return {"bridge": self.bridge} | ({} if self.answers_within is None
                                           else {"answers_within": self.answers_within})
 
@@ -57,16 +57,16 @@ class ArmInterface:
     """A maker's positional interface.
 
     Attributes:
-        title: what it is called.
-        opened: ``"module:function"`` of an ``Opener``, imported when it is asked for.
+        title: name of the interface.
+        opened: ``"module:function"`` of an ``Opener``, imported on first use.
         example: an address.
         cycles: interpolation cycles, in words.
-        reports: what the controller reports, in words.
-        tried: what it was tried against, in words.
+        reports: quantities that the controller reports, in words.
+        tried: what it was tested with, in words.
         package: of the wire, as it is imported; empty where the wire is ours.
         extra: of ``pip install 'ideal-robot[…]'``; empty where none is needed.
         cycle: the interpolation cycle where there is only one [s]; None where the robot's data or ``--cycle`` say it.
-        read: ``"module:function"`` of a ``ReaderOpener``; empty where a controller tells nobody but who leads the arm.
+        read: ``"module:function"`` of a ``ReaderOpener``; empty where only the commanding client receives states.
     """
 
     title: str
@@ -134,7 +134,7 @@ INTERFACES: Registry[ArmInterface] = Registry("interface", "ideal_robot.interfac
 
 
 def interface_of(address: str, option: str = "--arm") -> tuple[ArmInterface, Address]:
-    """The interface that an address names, whose library is there, and the address.
+    """The interface of an address, with its library installed, and the parsed address.
 
     Args:
         address: ``scheme://…``.
@@ -161,13 +161,13 @@ def connected_arm(address: str, robot: Robot, settings: LinkSettings, patience: 
     Args:
         address: ``scheme://…``.
         robot: with the cycle of the controller.
-        settings: what is known of it besides.
+        settings: further known settings.
         patience: how long it is waited for [s].
         option: the command line's name of the address, for messages.
 
     Raises:
         InputError: an address that cannot be used, a robot that does not fit the interface, no controller there, or one
-            that does not let itself be led. Nothing has moved then.
+            that refuses commands. The arm has not moved then.
     """
     interface, place = interface_of(address, option)
     opened: Opener = imported(cast(Any, interface.opened))
@@ -179,17 +179,17 @@ def connected_arm(address: str, robot: Robot, settings: LinkSettings, patience: 
 
 @contextmanager
 def read_arm(address: str, robot: Robot, patience: float, option: str) -> Iterator[StateReader]:
-    """Reads the states of an arm that somebody else leads; ended at the end of the block.
+    """Reads the states of an arm that another program commands, until the end of the block.
 
     Args:
         address: ``scheme://…``.
-        robot: whose joints they are, and the cycle in which they are wanted.
+        robot: the robot with its joints, and the requested cycle of states.
         patience: how long it is waited for [s].
         option: the command line's name of the address, for messages.
 
     Raises:
-        InputError: an address that cannot be used, an interface that tells nobody but who leads the arm, nobody there,
-            states that are not the robot's.
+        InputError: an address that cannot be used, an interface without passive readers, no controller, states that are
+            not the robot's.
     """
     interface, place = interface_of(address, option)
     if not interface.read:

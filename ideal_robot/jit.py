@@ -1,7 +1,7 @@
-"""Compiled functions whose machine code is kept beside the source: what is kept may be old, damaged or not writable.
+"""Compiled functions whose machine code is cached beside the source, robust against old or damaged files.
 
 Machine code holds the numbers and the functions of other modules that a function names, as they were when it was
-compiled. Kept code therefore belongs to what a function *means*: its own bytecode and that of all compiled functions
+compiled. The cache key is therefore the *meaning* of a function: its own bytecode and that of all compiled functions
 that it calls, with the values of all they name. numba's ``cache=True`` looks at the time of the function's own file:
 after a number in another file has changed it goes on with the old one, and after a checkout it compiles all anew.
 
@@ -36,7 +36,7 @@ _DIGEST = 32  # bytes of SHA-256
 
 
 def jit(**options: Any) -> Callable[[_Function], _Function]:
-    """Compiles a function as ``numba.njit(**options)`` does, at its first call with such arguments; keeps the code."""
+    """Compiles a function as ``numba.njit(**options)`` does, at its first call with such arguments; caches the code."""
     def compiled(function: _Function) -> _Function:
         dispatcher = numba.njit(**options)(function)
         dispatcher._cache = _KeptCode(dispatcher)
@@ -48,10 +48,10 @@ def jit(**options: Any) -> Callable[[_Function], _Function]:
 
 @cache
 def meaning(function: FunctionType) -> str:
-    """Digest of what machine code of a function is made from: it changes where that code has to be made anew.
+    """Digest of everything that a function's machine code depends on; it changes when the code has to be recompiled.
 
     That is its bytecode, and the values of the globals and the closure that it names; of a compiled function among
-    them, the meaning. Where lines stand, what is commented and what other functions of the file do is not in it.
+    them, the meaning. Line numbers, comments and other functions of the file are not in it.
     """
     digest = hashlib.sha256()
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
@@ -73,7 +73,7 @@ def meaning(function: FunctionType) -> str:
 def _told(user: FunctionType, value: Any) -> str:
     """What a value is to the compiled code of its user; types and modules by name: numba's version is kept as well."""
     if isinstance(value, Dispatcher):
-        # One that calls itself is in its own bytecode.
+        # A recursive function is in its own bytecode.
         return "itself" if value.py_func is user else _compiled_from(value)
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
@@ -132,7 +132,7 @@ class _KeptFiles(IndexDataCacheFile):
         return self._version, _compiled_from(self._dispatcher), key
 
     def _path(self, key: Any) -> Path:
-        # The third is a digest of the function's own code: what changed takes the file of what was before.
+        # The third is a digest of the function's own code: changed code replaces its old file.
         signature, target, _ = key
         name = hashlib.sha256(repr((signature, target)).encode()).hexdigest()[:16]
         return Path(self._cache_path) / f"{self._index_name.removesuffix('.nbi')}.{name}.nbc"

@@ -1,4 +1,4 @@
-"""How long work tells how far it is."""
+"""Reporting the progress of long work."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ Progress = Callable[[float, str], None]
 
 
 def silent(fraction: float, text: str) -> None:
-    """A progress that nobody looks at."""
+    """A progress callback that does nothing."""
 
 
 def part_of(progress: Progress, start: float, share: float, key: str = "") -> Progress:
-    """Progress of a part of a job.
+    """A progress callback for a part of a task, which reports to that of the whole.
 
     Args:
         progress: of the whole job.
         start: fraction of the job done before the part.
         share: the part's share of the job.
-        key: what the part is about; shown in front of what is being done.
+        key: name of the part, shown before its present step.
     """
     def move(fraction: float, text: str) -> None:
         progress(start + share * fraction, text if key in ("", text) else f"{key}: {text}")
@@ -28,20 +28,20 @@ def part_of(progress: Progress, start: float, share: float, key: str = "") -> Pr
 
 
 class Steps:
-    """Steps of a job, each with its measured share of the time, together 1; reported progress never falls."""
+    """Progress of a task in steps with given shares of its time, which sum to 1; it never falls."""
 
     def __init__(self, progress: Progress, shares: Mapping[str, float]) -> None:
         self._progress, self._shares = progress, shares
         self._done = 0.0
 
     def begin(self, step: str, text: str = "") -> Progress:
-        """Says that a step (a key of ``shares``) begins, by ``text`` or by its name; returns its progress."""
+        """Starts a step (a key of ``shares``), shown as ``text`` or by its name; returns its progress callback."""
         part = self.part(step)
         part(0.0, text or step)
         return part
 
     def part(self, step: str) -> Progress:
-        """The progress of a step that says itself when it begins."""
+        """The progress callback of a step that reports its own beginning."""
         keys = list(self._shares)
         return part_of(self._forward, sum(self._shares[key] for key in keys[: keys.index(step)]), self._shares[step])
 

@@ -1,11 +1,11 @@
-"""A seam's implementations by name: those of this project, and those that other packages add.
+"""Registries of implementations by name: those of this project, and those of other packages.
 
 A package outside adds one by ``register`` or, without being imported by anybody, by an entry point:
 
     [project.entry-points."ideal_robot.feedforward"]
     my_method = "my_package.my_module:MyFeedforward"
 
-Built-in implementations are given as ``"module:attribute"`` and imported when they are asked for.
+Built-in implementations are given as ``"module:attribute"`` and imported on first use.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ T = TypeVar("T")
 
 
 def imported(implementation: T | str) -> T:
-    """What ``"module:attribute"`` names; anything else is the implementation itself."""
+    """The object named by ``"module:attribute"``; any other argument is returned unchanged."""
     if not isinstance(implementation, str):
         return implementation
     return cast(T, metadata.EntryPoint("", implementation, "").load())
 
 
 def in_words(name: str) -> str:
-    """A registered name, or another key of files, as a person reads it: ``gear_play`` as "gear play"."""
+    """A registered name, or another key of files, in words: ``gear_play`` as "gear play"."""
     return name.replace("_", " ")
 
 
 class Registry(Generic[T]):
-    """Implementations of one seam by name.
+    """Implementations of one interface by name.
 
     Args:
-        seam: what is registered, in the singular, for messages (``"effect"``).
+        seam: name of the interface, in the singular, for messages (``"effect"``).
         group: entry-point group of other packages.
         built_in: name → ``"module:attribute"``, in the order of tables.
-        wanted, fits: what is expected of a name, in words, and whether one is so; any will do by default.
+        wanted, fits: expected form of a name, in words, and a check of it; by default every name is accepted.
     """
 
     def __init__(self, seam: str, group: str, built_in: dict[str, str], wanted: str = "a name",
@@ -49,7 +49,7 @@ class Registry(Generic[T]):
         self._read_entry_points = False
 
     def register(self, name: str, implementation: T) -> None:
-        """Adds an implementation; raises InputError for a name that does not fit, or that another one has."""
+        """Adds an implementation; raises InputError for a name that is not accepted or already used."""
         self._read()
         if not self._fits(name):
             raise InputError(f"expected {self._wanted}", field="key", value=name)
@@ -59,7 +59,7 @@ class Registry(Generic[T]):
         self._known[name] = implementation
 
     def unregister(self, name: str) -> None:
-        """Takes out what ``register`` added; nothing happens if there is none."""
+        """Removes an implementation that ``register`` added; does nothing if there is none."""
         self._known.pop(name, None)
 
     def names(self) -> tuple[str, ...]:
@@ -68,7 +68,7 @@ class Registry(Generic[T]):
         return tuple(self._known)
 
     def get(self, name: str) -> T:
-        """The implementation of that name; raises InputError, with the names there are, or if it cannot be imported."""
+        """The implementation of a name; raises InputError for an unknown name, or a failed import."""
         self._read()
         if name not in self._known:
             raise InputError(f"expected one of {', '.join(self._known)}", field=self.seam, value=name)

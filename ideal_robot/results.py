@@ -1,4 +1,4 @@
-"""Results that say what they are: lines at the prompt, a table in a notebook, plain values, plots."""
+"""Results that show themselves: lines at the prompt, a table in a notebook, plain values, plots."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from ideal_robot.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 else:
-    Figure = Any  # in annotations; whoever draws imports it
+    Figure = Any  # for annotations; matplotlib is imported only for drawing
 
 _WIDTH = 240
 """Characters of a line of figures; what does not fit is left out."""
 
 
 class Summarised(ABC):
-    """Base of results whose few figures are shown by ``repr`` and in notebooks."""
+    """Base of results whose main figures are shown by ``repr`` and in notebooks."""
 
     @abstractmethod
     def summary(self) -> list[tuple[str, str]]:
-        """The few figures a person wants first: label and value with unit."""
+        """The main figures as rows of label and value with unit."""
 
     def __repr__(self) -> str:
         (_, first), *rest = self.summary()
@@ -38,11 +38,11 @@ class Summarised(ABC):
 
 
 def in_lines(name: str, head: str, figures: Sequence[str]) -> str:
-    """A result at the prompt: what it is, and a line of figures below; what does not fit is left out.
+    """A result at the prompt: a headline, and a line of figures below, cut to the width.
 
     Args:
         name: of the result's class.
-        head: what it is, behind the name.
+        head: description after the name.
         figures: each with its label and unit, the important first.
     """
     title = f"{name}({_cut(head)})"
@@ -73,7 +73,7 @@ def listed(values: Array, unit: str = "") -> str:
 
 
 def one_unit(units: Sequence[str]) -> str:
-    """The units of all joints in a word, where one stands for all: "mrad", or "mrad or mm" of an arm of both kinds."""
+    """The common unit of all joints: "mrad", or "mrad or mm" for an arm with both kinds."""
     return " or ".join(dict.fromkeys(units))
 
 
@@ -82,7 +82,7 @@ def shown_cell(cell: Any) -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
 
 
-# Plain values: what JSON can hold, from whatever results are made of.
+# Converts results to plain values that JSON can hold.
 
 @overload
 def plain(value: dict[str, Any], digits: int | None = None) -> dict[str, Any]: ...
@@ -93,7 +93,7 @@ def plain(value: Any, digits: int | None = None) -> Any: ...
 
 
 def plain(value: Any, digits: int | None = None) -> Any:
-    """The value as dictionaries, lists, numbers and strings, of dataclasses, arrays, paths and what they are nested in.
+    """A value as dictionaries, lists, numbers and strings, converted from dataclasses, arrays and paths.
 
     Non-finite numbers are None, others have so many significant ``digits``; all of them if None.
     """
@@ -115,14 +115,14 @@ def plain(value: Any, digits: int | None = None) -> Any:
 
 
 def flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
-    """Values by dotted name, whether a name stands in quotes or as TOML's own dotted key."""
+    """Values by dotted name, from nested tables or from dotted keys."""
     result: dict[str, Any] = {}
     for key, value in content.items():
         result |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
     return result
 
 
-# Pictures of results; the one file of this package that imports matplotlib, when a picture is asked for.
+# Figures of results; the only file of this package that imports matplotlib, when a figure is drawn.
 
 Panel = tuple[str, Sequence[tuple[str, Array]]]
 """What stands at the vertical axis of a panel, and its series: name and values ``(N,)``."""
@@ -132,13 +132,13 @@ _MOST = 4000
 
 
 def over_time(t: Array, panels: Sequence[Panel], title: str, along: str = "t [s]") -> Figure:
-    """Series over time, or along a path, one panel a channel, one above the other.
+    """Figure of series over time, or along a path, one panel per channel, one above the other.
 
     Args:
-        t: times ``(N,)`` [s], or what else rises.
-        panels: what is drawn, of ``N`` values each.
+        t: times ``(N,)`` [s], or another rising quantity.
+        panels: series of ``N`` values each.
         title: of the picture.
-        along: what ``t`` is, with its unit.
+        along: name of ``t``, with its unit.
     """
     from matplotlib.figure import Figure
 
@@ -158,7 +158,7 @@ def over_time(t: Array, panels: Sequence[Panel], title: str, along: str = "t [s]
 
 
 def as_bars(values: Sequence[tuple[str, float]], unit: str, title: str) -> Figure:
-    """One figure of several runs, a bar each; what has none has no bar.
+    """Bar chart of one quantity over several runs; runs without a value have no bar.
 
     Args:
         values: name and figure of each.

@@ -1,4 +1,4 @@
-"""Rows of numbers that are added one by one; of long logs only the last rows are held in memory.
+"""Logs of number rows that grow one by one; of long logs only the last rows are in memory.
 
 An array that grows by doubling would be copied between two commands of an arm, and an hour of a run at 4 ms with some
 hundred values a row is 0.7 GB. Arrays whose size is known beforehand are plain ones, in a file where they are long.
@@ -33,10 +33,10 @@ def new_array(*shape: int) -> Array:
 
 
 def in_new_file(count: int) -> Array:
-    """``count`` zeros in a file without a name; raises OutputError where the folder for temporary files has no room."""
+    """Array of ``count`` zeros in a temporary file; raises OutputError where its folder has no space."""
     try:
         with tempfile.TemporaryFile() as file:
-            # Room that is only promised would end the program where it is written to and not there.
+            # Allocated now, as writing to a sparse file on a full disk would end the program.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, 8 * count)
             else:
@@ -47,7 +47,7 @@ def in_new_file(count: int) -> Array:
 
 
 def no_room(error: OSError) -> OutputError:
-    """The error for a folder for temporary files that has no room."""
+    """The error for a folder for temporary files that has no space."""
     return OutputError(f"{tempfile.gettempdir()}: temporary files cannot be written ({error.strerror or error}); make "
                        "room, or set TMPDIR to another folder")
 
@@ -73,7 +73,7 @@ def file_of(values: Array) -> mmap.mmap | None:
 
 
 def let_go(*arrays: Array) -> None:
-    """What was read or written of arrays in files need not stay in memory; nothing happens to other ones."""
+    """Frees the memory pages of arrays in files; other arrays are not affected."""
     for values in arrays:
         file = file_of(values)
         if file is not None and hasattr(file, "madvise"):
@@ -90,17 +90,17 @@ _BLOCK = 4096
 
 
 class RowLog:
-    """Rows of equal width, appended; all but the last ``KEPT`` are in a file without a name, which ends with the log.
+    """Appends rows of equal width; all but the last ``KEPT`` are in a temporary file that ends with the log.
 
-    Reads like a list of arrays, or of numbers where numbers were appended; ``np.array(log)`` is all of it. Rows that
-    no file takes, as the disk is full, stay in memory: adding one never fails, which an arm that moves relies on. Who
-    adds rows looks at ``refused`` now and then and ends.
+    Reads like a list of arrays, or of numbers where numbers were appended; ``np.array(log)`` is all of it. Rows stay in
+    memory if the disk is full: adding one never fails, as an arm may be moving. The caller checks ``refused`` now and
+    then and stops.
 
     Args:
         width: values in a row; None: as many as the first one that is appended has.
 
     Attributes:
-        rows: how many rows are filled; whoever fills ``next_row`` counts it.
+        rows: number of filled rows; whoever fills ``next_row`` increments it.
         refused: why rows are in memory that should be in the file, or None.
     """
 
@@ -121,7 +121,7 @@ class RowLog:
 
     @property
     def kept(self) -> int:
-        """Rows there is memory for."""
+        """Number of rows for which there is memory."""
         return _PIECE * len(self._pieces)
 
     def reserve(self, count: int) -> None:
@@ -130,7 +130,7 @@ class RowLog:
             self._pieces.append(self._empty_piece())
 
     def append(self, value: Any) -> None:
-        """One more row ``(width,)``, or one more number."""
+        """Adds one row ``(width,)``, or one number."""
         if not self._width:
             shape = np.shape(value)
             self._numbers, self._width = not shape, shape[0] if shape else 1
@@ -139,14 +139,14 @@ class RowLog:
         self.rows += 1
 
     def row(self, i: int) -> Array:
-        """Row ``i``, counted from 0; not to be written to."""
+        """Row ``i``, counted from 0; read-only."""
         if i < self._first:
             return self._mapped(self._first)[i]
         piece, i = divmod(i - self._first, _PIECE)
         return self._pieces[piece][i]
 
     def mapped(self) -> Array:
-        """All rows ``(N, width)``: a copy, of a long log the file, which is read where it is used."""
+        """All rows ``(N, width)``: a copy, or for a long log the memory-mapped file."""
         if not self._first:
             return np.asarray(self).reshape(self.rows, self._width)
         if len(self._stored) < self.rows:
@@ -250,12 +250,11 @@ def _made_of(values: Array) -> RowLog:
 
 
 def new_columns(names: Iterable[str], length: int, in_memory: bool | None = None) -> dict[str, Array]:
-    """Columns to be filled, which then become those of a ``Recording`` without a copy, see ``finished``.
+    """Empty columns to be filled, which ``finished`` turns into those of a ``Recording`` without a copy.
 
     Args:
         names, length: of the columns, and rows of each.
-        in_memory: whether they are held in memory, not in a file of which only what is being used is there; None: up to
-            ``KEPT`` rows are.
+        in_memory: whether they are in memory, not in a memory-mapped file; None: up to ``KEPT`` rows are.
     """
     if length <= KEPT if in_memory is None else in_memory:
         return {name: np.empty(length) for name in names}
@@ -264,7 +263,7 @@ def new_columns(names: Iterable[str], length: int, in_memory: bool | None = None
 
 
 def finished(columns: dict[str, Array]) -> dict[str, Array]:
-    """The columns, read-only from now on."""
+    """The same columns, made read-only."""
     let_go(*columns.values())
     for column in columns.values():
         column.setflags(write=False)

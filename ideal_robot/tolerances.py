@@ -1,11 +1,10 @@
-"""Numerical tolerances: numbers that follow from arithmetic, or are fine enough. Half or twice of one changes nothing.
+"""Numerical tolerances: results do not change if one of them is halved or doubled.
 
-Most were halved and doubled while lines, forces and known paths were played and arms identified: no figure changed by
-10 %. A number that decides what an arm does, or what counts as known, is none of these: it stands where it is used,
-with its reason.
+Most were halved and doubled in runs of lines, forces and known paths and in identifications: no figure changed by 10 %.
+A number that decides about an arm's behaviour is not one of them; it is defined where it is used, with its reason.
 """
 
-# Rounding.
+# Rounding errors.
 
 ROUNDING = 1e-9
 """Relative difference of positions, speeds and poses, or for those below one absolute [rad, m], that is arithmetic's.
@@ -25,7 +24,7 @@ ZERO_CROSSING = 1e-4
 CREEP = 1e-300
 """Speed at which friction is that of standstill in the direction of the speed [rad/s]: not zero, and nothing else."""
 
-# Equations that are solved.
+# Tolerances of equation solvers.
 
 SLIGHT = 1e-10
 """Variance of what inverse kinematics may leave of a place [m²]: no step of Newton's method changes by it, and postures
@@ -47,7 +46,7 @@ LEAST_EIGENVALUE = 1e-3
 BRAKING_CYCLES = 2000
 """Cycles in which a braking motion has to end: arms need a tenth of them."""
 
-# How finely what is continuous is looked at.
+# Resolution of continuous quantities.
 
 PATH_SPACING = 0.002
 """Between points of a path at which its curvature is kept and its limits are looked at [m]."""

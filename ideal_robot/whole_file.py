@@ -1,6 +1,6 @@
-"""Files that are there whole or not at all: written in a hidden folder beside their place and moved there.
+"""Writes files whole or not at all: in a hidden folder beside their place, then moved there.
 
-Whatever ends the program in between — an error, a full disk, ``kill -9`` — the file that was there before stays.
+Whatever ends the program in between — an error, a full disk, ``kill -9`` — the old file stays.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _REMEDIES = {errno.ENOSPC: "make room", errno.EDQUOT: "make room", errno.EFBIG: 
 
 
 class OutputError(IdealRobotError):
-    """A result could not be written; what was there before is untouched."""
+    """A result could not be written; an old file there is untouched."""
 
     @classmethod
     def of(cls, place: object, error: Exception, remedy: str | None = None) -> OutputError:
@@ -47,13 +47,13 @@ class OutputError(IdealRobotError):
                    f"{remedy or _REMEDIES.get(number, 'look at the disk, or give another place')}")
 
     def named(self, partial: Path, place: Path) -> OutputError:
-        """The error about ``place``, for which a partial file or folder was written."""
+        """The same error with ``place`` instead of the temporary file or folder."""
         return OutputError(str(self).replace(str(partial), str(place)))
 
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """Yields the name to write to; moved to ``path`` when the block ends without an error, else removed.
+    """Yields a temporary name to write to; moved to ``path`` when the block ends without an error, else removed.
 
     Missing parents are made, and the rights of a file that was there stay. Raises OutputError where it cannot be
     written, e.g. the disk is full.
@@ -64,9 +64,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
-    """As ``whole_file`` for several that belong together: none is moved before all are written.
+    """As ``whole_file`` for several files: none is moved before all are written.
 
-    What is None among ``paths`` is None among what is yielded.
+    None among ``paths`` gives None at its place.
     """
     places = [None if path is None else Path(path) for path in paths]
     moves: list[tuple[Path, Path]] = []
@@ -91,7 +91,7 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
         names = ", ".join(str(place) for _, place in moves) or str(places[0])
         raise OutputError.of(names, error) from error
     except OutputError as error:
-        # What a writer says of a partial file is meant of the file.
+        # An error about a partial file is reported for the final one.
         for partial, place in moves:
             error = error.named(partial, place)
         raise error from error.__cause__
@@ -105,20 +105,20 @@ def write_text(path: str | Path, text: str) -> Path:
 
 
 def inert(text: str) -> str:
-    """A text that a spreadsheet shows as it stands: where it would take it for a formula, after an apostrophe."""
+    """A text that a spreadsheet shows unchanged: with an apostrophe where it would be read as a formula."""
     return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 def is_device(place: Path) -> bool:
-    """Whether there is something that is neither file nor folder: a file that is moved there would be in its stead."""
+    """Whether a path is neither file nor folder, such as a device, which a moved file would replace."""
     return place.exists() and not (place.is_file() or place.is_dir())
 
 
 @contextmanager
 def beside(place: Path) -> Iterator[Path]:
-    """Yields a name for what will be moved to ``place``: its own, in a hidden folder beside it, which goes afterwards.
+    """Yields a temporary name for a file to be moved to ``place``, in a hidden folder beside it, removed afterwards.
 
-    Missing parents are made, and go where nothing lies in them in the end. What killed runs left of the same name is
+    Missing parents are made, and removed again if they stay empty. Remains of killed runs with the same name are
     removed after a day.
     """
     made = make_folder(place.parent)
@@ -129,30 +129,30 @@ def beside(place: Path) -> Iterator[Path]:
                 if time.time() - old.stat().st_mtime > _ABANDONED:
                     shutil.rmtree(old)
         with tempfile.TemporaryDirectory(".part", beginning, place.parent, ignore_cleanup_errors=True) as folder:
-            # pandas takes a leading ~ for a home.
+            # pandas would expand a leading ~ to a home folder.
             yield Path(folder).absolute() / place.name
     finally:
         remove_empty(made)
 
 
 def make_folder(folder: Path) -> list[Path]:
-    """Makes a folder where it is missing; returns what was made, it and its missing parents, the innermost first."""
+    """Makes a folder and its missing parents; returns those that were made, the innermost first."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
 
 
 def remove_empty(folders: list[Path]) -> None:
-    """Removes those of the folders in which nothing lies, the first one first."""
+    """Removes those of the folders that are empty, in the given order."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
 
 
 def synchronise(path: Path) -> None:
-    """Waits until a file, or the list of a folder's files, is on the disk."""
+    """Waits until a file, or a folder's list of files, is on the disk."""
     if path.is_dir() and os.name == "nt":
-        return  # folders cannot be opened there
+        return  # folders cannot be opened on such systems
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

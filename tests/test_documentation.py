@@ -205,7 +205,7 @@ def undocumented(folder: str) -> list[str]:
             if any(getattr(mark, "id", "") == "overload" for mark in function.decorator_list):
                 continue  # the implementation below says it for all
             names = parameters(function)
-            interface = re.match(r"See ``([\w.]+)``", docstring)
+            interface = re.search(r"\b[Ss]ee ``([\w.]+)``", docstring)
             if len(names) <= 2 or (interface and interface.group(1) in methods() - {name}):
                 continue
             missing = [parameter for parameter in names if parameter not in documented(docstring) | helped(function)]

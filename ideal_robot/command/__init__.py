@@ -1,1 +1,1 @@
-"""The command channel: which command makes a joint move so, behind whatever controller."""
+"""The command law: which command makes a joint move as desired, behind any controller."""

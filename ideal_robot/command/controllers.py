@@ -1,7 +1,7 @@
-"""Controllers that joints may have: which terms each has to have, and what its coefficients are called.
+"""Kinds of joint controllers: the terms of each, and the names of its coefficients.
 
-A kind is where the search starts; what a controller does beyond its kind (feedforward, compensation, gains that follow
-the posture) are terms that the score adds.
+The search starts from a kind; further functions of a controller (feedforward, compensation, gains that follow the
+posture) are terms that the score adds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class Controller:
         core: terms that it has at least.
         more: terms that it may have beside them.
         integrator: whether a reset time belongs to it.
-        poles: times [s] that the command's own poles are looked for with, of ``a_1``, ``a_2`` and ``a_i`` (see
+        poles: start values [s] of the command's own poles in the search, of ``a_1``, ``a_2`` and ``a_i`` (see
             ``ideal_robot.command.law.Shape``); empty where it has none.
     """
 
@@ -35,14 +35,14 @@ _ALONE = ("acceleration", "jerk", "direction", "integrated_direction", "integrat
 CONTROLLERS: tuple[Controller, ...] = (
     # e = q̇/k_v + H[τ]/(k_p k_v)
     Controller("P/PI cascade", ("velocity", "torque"), True, _WITH_TORQUE),
-    # e = (τ - g)/K + (D/K) q̇; without gravity it sags.
+    # e = (τ - g)/K + (D/K) q̇; without gravity compensation it deflects under gravity.
     Controller("PD control", ("velocity", "torque"), False, _WITH_TORQUE),
     # e + (D/K) H[ė] = H[τ]/K
     Controller("PID control", ("torque",), True, _WITH_TORQUE, poles=((0.0, 0.0, 0.01), (0.0, 0.0, 0.04))),
     # e + 2ζ/ω ė + ë/ω² = (M⁻¹(s τ - h) - q̈)/ω²
     Controller("inverse dynamics", ("acceleration", "free_acceleration", "free_fall"), False, _WITH_TORQUE,
                poles=((0.03, 0.0, 0.0), (0.08, 0.0, 0.0), (0.06, 2e-3, 0.0))),
-    # What bodies, of a URDF at least, say of an integrator's torque.
+    # Rigid bodies, at least of a URDF, predict the integrator's torque.
     Controller("cascade or PID control", ("velocity", "bodies", "integrated_direction"), True, _ALONE),
     # Without torques and bodies.
     Controller("lag", ("velocity", "acceleration", "direction"), False, _ALONE),

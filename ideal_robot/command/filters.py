@@ -1,4 +1,4 @@
-"""Rational filters of evenly spaced rows: from powers of s to recursions, started at rest."""
+"""Rational filters of evenly spaced rows: from powers of s to recursions, in steady state at the start."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def bilinear(num: Array, den: Array, dt: float) -> tuple[Array, Array]:
 
 
 def from_rest(num: Array, den: Array, x: Array) -> Array:
-    """Rows through a filter ``(N,)``, as if the first one had lasted for ever.
+    """Filters rows ``(N,)``, as if the first one had been constant before.
 
     Args:
         num, den: coefficients of the recursion ``(k,)`` each.

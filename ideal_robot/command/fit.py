@@ -1,8 +1,8 @@
-"""Fits the command's law to recordings: kind, terms, reset time, lateness and smoothing per joint, by one score.
+"""Fits the command's law to recordings: kind, terms, reset time, delay and smoothing per joint, by one score.
 
 The rows are ``F q_c(t - late) - q`` against the terms of the measured motion, low-passed and decimated alike. Kinds,
 sets of terms and shapes are compared by the log density with which the recording is predicted block after block
-(``ideal_robot.estimate.score``); the noise is an autoregression of what a law with all terms leaves.
+(``ideal_robot.estimate.score``); the noise is an autoregression of the residual of a law with all terms.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _SIDELOBE = 1e-3
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a recording at even instants, low-passed.
+    """An interval of a recording at even instants, low-passed.
 
     Attributes:
         motion: measured, with the torques that the law is fitted with.
@@ -67,7 +67,7 @@ class Stretch:
         command: as it was handed over ``(N, n)`` [rad].
         measured: positions without the low-pass ``(N, n)`` [rad].
         noise: standard deviation of one of them ``(n,)`` [rad].
-        rows: instants at which the law is asked ``(M,)``.
+        rows: instants at which the law is evaluated ``(M,)``.
     """
 
     motion: Motion
@@ -90,7 +90,7 @@ class _Found:
 
 
 class JointRows:
-    """One joint's rows: what the search asks for again and again is kept.
+    """One joint's rows of the regression, with a cache for the search.
 
     Args:
         stretches, j: of the recordings, and the joint, from 0.
@@ -105,7 +105,7 @@ class JointRows:
                            and (not term.bodies or motion.bodies is not None))
         self.q = [s.motion.q[:, j] for s in stretches]
         self.t = [s.motion.dt * np.arange(float(len(q))) for s, q in zip(stretches, self.q, strict=True)]
-        # A gap between stretches, so that the noise begins anew.
+        # An empty row between intervals, so that the noise restarts.
         self.use = np.concatenate([np.append(np.ones(len(s.rows), dtype=bool), False) for s in stretches])
         self.blocks = blocks_of([len(s.rows) for s in stretches])
         self.noise = ColouredNoise(np.zeros((1, 0)), np.ones(1))
@@ -117,16 +117,16 @@ class JointRows:
         self._right: dict[tuple[str, float, float], Array] = {}
 
     def rows(self, values: Sequence[Array]) -> Array:
-        """Values at all instants of each stretch at the rows ``(M,)``, a zero behind each stretch."""
+        """Values of each interval taken at its rows ``(M,)``, with a zero after each interval."""
         return np.concatenate([np.append(x[s.rows], 0.0) for x, s in zip(values, self.stretches, strict=True)])
 
     def key(self, shape: Shape, column: Column) -> tuple[tuple[float, ...], Column]:
-        """What a term's rows depend on."""
+        """Cache key of a term: the parts of the shape on which its rows depend."""
         poles = (shape.a_1, shape.a_2, shape.a_i)
         return ((shape.reset or 0.0, *poles) if column.of.integrated or any(poles) else (), column)
 
     def column(self, shape: Shape, column: Column) -> Array:
-        """Column of the regression for one term of the law, at the rows ``(M,)``; computed once a shape."""
+        """Column of the regression for one term of the law, at the rows ``(M,)``; cached by shape."""
         key = self.key(shape, column)
         if key not in self._columns:
             if column not in self._values:
@@ -141,7 +141,7 @@ class JointRows:
         return self._columns[key]
 
     def errors(self, shape: Shape) -> list[Array]:
-        """``e (N,)`` of each stretch at all of its instants."""
+        """Differences ``e (N,)`` of command and position in each interval, at all of its instants."""
         key = shape.smoothing, shape.time
         if key not in self._seen:
             self._seen[key] = [CubicSpline(t, seen(s, self.j, shape)) for s, t in
@@ -150,7 +150,7 @@ class JointRows:
                 for spline, q in zip(self._seen[key], self.q, strict=True)]
 
     def right(self, shape: Shape) -> Array:
-        """Right side of the regression, ``errors`` at the rows ``(M,)``; reset times and poles leave it as it is."""
+        """Right side of the regression, ``errors`` at the rows ``(M,)``; independent of reset times and poles."""
         key = shape.smoothing, shape.time, shape.late
         if key not in self._right:
             self._right[key] = self.rows(self.errors(shape))
@@ -161,7 +161,7 @@ class JointRows:
         return np.column_stack([self.column(shape, c) for c in columns]), self.right(shape)
 
     def listen(self, shape: Shape, columns: Sequence[Column]) -> None:
-        """Takes the noise from what these columns leave."""
+        """Sets the noise from the residual of these columns."""
         X, y = self.raw(shape, columns)
         size = np.sqrt(np.mean(X**2, axis=0)) + 1e-300
         self.size = max(float(np.std(y[self.use])), 1e-12)
@@ -171,7 +171,7 @@ class JointRows:
         self._white.clear()
 
     def score(self, shape: Shape, columns: Sequence[Column]) -> float:
-        """Score of a law, its times paid for."""
+        """Score of a law, with the cost of its times."""
         return self.products(shape, columns).score() - _PER_TIME * shape.times
 
     def products(self, shape: Shape, columns: Sequence[Column]) -> Products:
@@ -185,7 +185,7 @@ class JointRows:
         return Products(np.column_stack([*(self._white[key][0] for key in keys), right]), self.blocks, np.array(prior))
 
     def forget(self) -> None:
-        """Lets go of what was made for the times of a search that has ended."""
+        """Clears the cache of a finished search."""
         for kept in (self._columns, self._white):
             for key in [key for key in kept if key[0]]:
                 del kept[key]
@@ -194,12 +194,12 @@ class JointRows:
 
 
 class Products:
-    """Products of the columns in each block of rows, from which the score of any set of columns follows.
+    """Products of the columns in each block of rows, which give the score of any set of columns.
 
     Args:
         rows: whitened columns and right side ``(M, m + 1)``.
         blocks: of each row, rising ``(M,)``.
-        prior: standard deviations of the coefficients beforehand ``(m,)``.
+        prior: prior standard deviations of the coefficients ``(m,)``.
     """
 
     def __init__(self, rows: Array, blocks: Array, prior: Array) -> None:
@@ -217,11 +217,11 @@ class Products:
         return evidence(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
 
     def without(self, blocks: np.ndarray) -> Posterior:
-        """Coefficients given all blocks but these."""
+        """Coefficients given all but these blocks."""
         return posterior(np.delete(self.G, blocks, axis=0).sum(axis=0), self.precision)
 
     def likelihood(self) -> float:
-        """Log density of all rows with the coefficients that fit them best: quicker than the score, for starts."""
+        """Log density of all rows with the best-fitting coefficients: faster than the score, for start values."""
         return -0.5 * self.solution().squares
 
     def solution(self, columns: Sequence[int] | None = None) -> Posterior:
@@ -233,19 +233,19 @@ class Products:
 
 
 def blocks_of(counts: Sequence[int]) -> Array:
-    """Block of each row of stretches with so many rows, a row more behind each, from 0 to ``BLOCKS`` ``(M,)``."""
+    """Block number, from 0 to ``BLOCKS``, of each row of intervals with the given counts plus one ``(M,)``."""
     ends = np.cumsum([0, *counts])
     return np.asarray(np.concatenate([np.append(np.arange(a, b), b) for a, b in pairwise(ends)])
                       * BLOCKS // (ends[-1] + 1))
 
 
 def folds(blocks: Array) -> Array:
-    """Which of two folds blocks belong to ``(M,)``: every other one of a few long stretches of time."""
+    """Number of the fold, of two, of each block ``(M,)``: alternately a few long intervals of time."""
     return blocks * _FOLDS // BLOCKS % 2
 
 
 def seen(stretch: Stretch, j: int, shape: Shape) -> Array:
-    """The commands of a joint as its controller sees them, without the lateness ``(N,)`` [rad].
+    """The commands of a joint at its controller, smoothed but without delay ``(N,)`` [rad].
 
     Args:
         stretch, j: with the commands, and the joint, from 0.
@@ -261,7 +261,7 @@ class FittedJoint:
 
     Attributes:
         law: of the joint.
-        left: what it leaves of the commands it was not fitted to, at each stretch's rows ``(M,)`` each [rad].
+        left: its residual of held-out commands, at each interval's rows ``(M,)`` each [rad].
     """
 
     law: JointLaw
@@ -277,8 +277,8 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
     """
     joint = JointRows(stretches, j, law)
     numbers = 2 * tones([stretch.motion for stretch in stretches], j)
-    # Where torques are known they say what bodies and directions stand for; yet a command is made with the model's, and
-    # what that misses of friction the motion itself may tell better.
+    # With known torques the terms of bodies and directions are not needed. But commands are made with the model's
+    # torque, and the motion itself may predict friction better than that.
     kinds = [kind for kind in CONTROLLERS if set(kind.core) <= set(joint.names)]
     by_torque = [kind for kind in kinds if any(TERMS[name].torque for name in kind.core)]
     alone, *others = (_judged(joint, found) for found in
@@ -288,7 +288,7 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
     found, *less = _searched(joint, by_torque)
     usual, servo = _judged(joint, found), _servo(joint, found)
     others += [_judged(joint, one) for one in less]
-    # Better not only beyond chance, but by as much as changes a user's path.
+    # The difference has to exceed chance, and be large enough to change a user's path.
     better = (alone.law.residual + _RESOLVED * alone.law.deviation < usual.law.residual
               and leaves_less(np.concatenate(alone.left), np.concatenate(usual.left)))
     fitted, other = (alone, usual) if better else (usual, alone)
@@ -297,13 +297,13 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
 
 
 def beside(fitted: FittedJoint, others: Sequence[FittedJoint], numbers: int) -> FittedJoint:
-    """The law with the laws of other kinds that may be the joint's as well.
+    """The law with laws of other kinds that the recording does not exclude.
 
-    At other frequencies than a recording's laws go apart that predict it nearly as well (see ``probabilities``).
+    Laws that predict a recording nearly equally well differ at other frequencies (see ``probabilities``).
 
     Args:
         fitted, others: the law, and laws of other kinds of controllers.
-        numbers: that a recording tells of a joint's answer: amplitude and phase of each tone.
+        numbers: number of values of a joint's response in a recording: amplitude and phase of each tone.
     """
     among = probabilities([one.law.residual for one in (fitted, *others)], numbers)
     rivals = tuple(Rival(other.law.shape, other.law.columns, other.law.coefficients, float(p))
@@ -312,16 +312,15 @@ def beside(fitted: FittedJoint, others: Sequence[FittedJoint], numbers: int) -> 
 
 
 def probabilities(left: Sequence[float], numbers: int) -> Array:
-    """Probability of each description of a joint's answer ``(K,)``, by what it leaves of one recording.
+    """Probabilities of several descriptions of a joint's response ``(K,)``, from their residuals on one recording.
 
-    Blocks of a recording that are left out have the frequencies of the others, and no description is quite the
-    controller: what it leaves elsewhere is known from as many independent numbers as tones tell of the answer. So the
-    odds of two are those of Gaussian residuals of so many numbers, their variance unknown: ``(r_0 / r_k)`` to the power
-    of the numbers.
+    Held-out blocks have the same frequencies as the others, and no description is exact: the recording has only as many
+    independent numbers as its tones determine. So the odds of two are those of that many Gaussian residuals of unknown
+    variance: ``(r_0 / r_k)`` to the power of the numbers.
 
     Args:
-        left: what each leaves of held-out motion, root mean squares [rad].
-        numbers: that the recording tells: amplitude and phase of each tone.
+        left: root mean square residual of each on held-out motion [rad].
+        numbers: number of values in the recording: amplitude and phase of each tone.
     """
     size = np.maximum(np.asarray(left, dtype=float), 1e-12)
     odds = (size.min() / size) ** numbers
@@ -329,7 +328,7 @@ def probabilities(left: Sequence[float], numbers: int) -> Array:
 
 
 def tones(motions: Sequence[Motion], j: int) -> int:
-    """How many tones a joint's velocity has, one at least: lines of its spectrum that no window's sidelobe makes.
+    """Number of tones in a joint's velocity, at least one: spectral lines above any window's sidelobes.
 
     Args:
         motions, j: of the recordings, and the joint, from 0.
@@ -377,7 +376,7 @@ def _searched(joint: JointRows, kinds: Sequence[Controller]) -> list[_Found]:
             assert best is not None
             starts.append(best)
     starts.sort(key=lambda found: -found.score)
-    # The best kinds without a smoothing, and the best with one: between the times tried either may look worse.
+    # The best kinds are refined without and with smoothing, as between the tried times either may look worse.
     refined = [start for start in starts if start.shape.smoothing == "none"][:_REFINED]
     refined += [start for start in starts if start.shape.smoothing != "none"][:1]
     return sorted((_refined(joint, start) for start in refined), key=lambda found: -found.score)
@@ -424,11 +423,11 @@ def _held_out(source: JointRows, predicted: Sequence[JointRows], shape: Shape, c
 
 
 def with_error(fitted: FittedJoint, stretches: Sequence[Stretch], j: int, response: Array) -> JointLaw:
-    """The law with the error of the position that its commands leave.
+    """The law with the standard deviation of the position error of its commands.
 
     Args:
         fitted, stretches, j: law, the recordings it is from, and the joint, from 0.
-        response: of its position to its command ``(N // 2 + 1,)``, over ``N`` instants as far apart as the motion's.
+        response: of its position to its command ``(N // 2 + 1,)``, over ``N`` instants at the motion's spacing.
     """
     missed = []
     for left, stretch in zip(fitted.left, stretches, strict=True):
@@ -456,11 +455,11 @@ def variances(missed: Sequence[Array], stretches: Sequence[Stretch], j: int) -> 
     windows = np.array_split(np.arange(len(left)), count)
     squares = np.array([np.mean(left[w] ** 2) for w in windows])
     X = np.array([np.mean(parts[w], axis=0) for w in windows])
-    # A joint that a path leaves on one encoder increment is predicted without any error.
+    # A joint that stays on one encoder increment is predicted without any error.
     if not np.any(squares > 0.0):
         return np.zeros(X.shape[1])
     size = np.maximum(np.mean(X, axis=0), 1e-300)
-    # Squares scatter as they are large: each window counts by what it is about.
+    # Squares scatter in proportion to their size, so each window is weighted by its mean.
     weight = 1.0 / (squares + np.mean(squares))
     found, _ = optimize.nnls(weight[:, None] * X / size, weight * squares)
     total = float(np.mean(X / size @ found))
@@ -527,7 +526,7 @@ def _tuned(joint: JointRows, found: _Found) -> _Found:
             middle = getattr(best.shape, name)
             if middle is None or (middle == 0.0 and name not in ("late", "a_1")):
                 continue
-            # Lateness and fed-forward velocity may begin at none.
+            # Delay and fed-forward velocity may start at zero.
             low, high = ((max(middle - 0.012 * width, 0.0), middle + 0.012 * width) if name == "late" else
                          (max(middle - 0.03 * width, 0.0), middle + 0.03 * width) if name == "a_1" else
                          (middle * np.exp(-0.6 * width), middle * np.exp(0.6 * width)))

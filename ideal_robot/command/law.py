@@ -1,12 +1,12 @@
-"""The command's law of a joint controller: which command makes a joint move so, whatever the controller is.
+"""The command law of a joint controller: which command makes a joint move as desired, for any controller.
 
-    r = F q_c(t - late)                 what the controller sees: lateness and smoothing of commands
+    r = F q_c(t - late)                 the controller's input: delay and smoothing of commands
     A(s) (r - q) = Σ c_k x_k(motion)    the law (``ideal_robot.command.terms``), with
     A = 1 + a_1 s + a_2 s² + a_i s H    where the command itself is fed forward or derived, and
     x_k behind the integrator:          s / (s + 1/T), T the reset time
     and c_k m(q_i)                      where gains follow the posture
 
-Read forwards it is fitted (``ideal_robot.command.fit``); evaluated ahead it is the feedforward
+Along a recording it is fitted (``ideal_robot.command.fit``); evaluated ahead it is the feedforward
 (``ideal_robot.feedforward.command_inverse``).
 """
 
@@ -39,7 +39,7 @@ _DAMPED = 0.25
 
 @dataclass(frozen=True, order=True)
 class Column:
-    """A term, and the posture that its gain follows.
+    """A term of the law, with the posture that scales its gain.
 
     Attributes:
         term: key of ``TERMS``.
@@ -72,7 +72,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Shape:
-    """What of a law is not linear.
+    """Nonlinear parameters of a law.
 
     Attributes:
         reset: reset time of the integrator [s]; None where there is none.
@@ -98,12 +98,12 @@ class Shape:
 
     @property
     def ahead(self) -> float:
-        """How far ahead of the motion a command has to be given [s]."""
+        """Lead time of the commands before the motion [s]."""
         return self.late + self.filter.late * self.time
 
     @property
     def times(self) -> int:
-        """How many times the shape has."""
+        """Number of time parameters of the shape."""
         return sum(bool(value) for value in (self.reset, self.late, self.time, self.a_1, self.a_2, self.a_i))
 
     @property
@@ -121,7 +121,7 @@ class Shape:
 
     @property
     def stable(self) -> bool:
-        """Whether the command's own poles decay, and well damped."""
+        """Whether the command's own poles are stable and well damped."""
         den = np.trim_zeros(self.poles[1], "f")
         if np.any(den < 0.0):
             return False
@@ -133,7 +133,7 @@ class Shape:
         return _discrete(self, dt)
 
 
-# All terms of a law ask for its filters, one after the other, over stretches that may be sampled each at its own rate.
+# All terms of a law use its filters in turn, over intervals with different sampling rates.
 @lru_cache
 def _discrete(shape: Shape, dt: float) -> tuple[Array, Array]:
     num, den = shape.poles
@@ -149,7 +149,7 @@ _SHAPE = tuple(f.name for f in fields(Shape))
 
 @dataclass(frozen=True)
 class Rival:
-    """The law of another kind of controller, which may be a joint's as well.
+    """A law of another controller kind that the recording does not exclude.
 
     Attributes:
         shape, columns, coefficients: see ``JointLaw``.
@@ -171,10 +171,10 @@ class JointLaw:
         columns: terms of the law.
         coefficients: of the columns ``(m,)``.
         covariance: of the coefficients ``(m, m)``.
-        error: of the position that commands by the law leave on held-out motion: variances ``(6,)`` by the parts of
+        error: variances of the position error with the law's commands on held-out motion ``(6,)`` by the parts of
             ``error_parts``.
         deviation: root mean square of ``q_c - q`` about its mean on the held-out motion [rad].
-        residual: what the law leaves of it there [rad].
+        residual: root mean square residual of the law there [rad].
         kind: of controller, in the field's words.
         servo: the joint as PD control, where it is one; None elsewhere, and where no torque was measured.
         noise: standard deviation of a measured position, encoder steps included [rad].
@@ -206,10 +206,10 @@ class CommandLaw:
     Attributes:
         joints: law of each joint ``(n,)``.
         t_cycle: from command to command [s].
-        still: speed below which a joint counts as reversing ``(n,)`` [rad/s].
+        still: speed below which a joint is treated as reversing ``(n,)`` [rad/s].
         middle, width: of the range in which each joint was moved ``(n,)`` [rad], which postures are measured by.
         torque: which torque the law's terms are of: ``model`` for the identified model's, ``none``.
-        cascade: what the identified loop of [G] leaves of the same recordings ``(n,)`` [rad]; None where there is none.
+        cascade: residual of [G]'s identified loop on the same recordings ``(n,)`` [rad]; None where there is none.
         cascade_error: its variances by the parts of ``error_parts`` ``(n, 6)``; None where there is none.
         doubt: probability that the law is the joint's, and not that loop ``(n,)``; None where there is none.
         leads: whether the law predicts them better than that loop.
@@ -233,14 +233,14 @@ class CommandLaw:
 
     @property
     def ahead(self) -> float:
-        """How far ahead of the motion commands have to be given at most [s]."""
+        """Longest lead time of the commands before the motion [s]."""
         return max(law.shape.ahead for law in self.joints)
 
     def reached_after(self, t_ipo: float) -> float:
-        """Time after which a command that is handed over stands in a log as the one that this law was fitted with [s].
+        """Time after which a sent command appears in a log like the one of this law's fit [s].
 
-        Commands that are logged as they are handed over stand there at once. Those that are logged more finely are set
-        points in force: lines from command to command, each of which is reached at its cycle's end.
+        Logs of commands as sent have them at once. Finer logs have interpolated set points, which reach each command at
+        the end of its cycle.
 
         Args:
             t_ipo: from command to command, as they are handed over [s].
@@ -249,16 +249,16 @@ class CommandLaw:
 
     @property
     def deviation(self) -> Array:
-        """See ``JointLaw``, ``(n,)`` [rad]."""
+        """Deviation of commands from positions of all joints ``(n,)`` [rad], see ``JointLaw``."""
         return np.array([law.deviation for law in self.joints])
 
     @property
     def residual(self) -> Array:
-        """See ``JointLaw``, ``(n,)`` [rad]."""
+        """Residuals of the laws of all joints ``(n,)`` [rad], see ``JointLaw``."""
         return np.array([law.residual for law in self.joints])
 
     def posture(self, q: Array, column: Column) -> Array:
-        """What the coefficient of a column is multiplied by at positions ``q (N, n)``: ``(N,)``."""
+        """Factor of a column's coefficient by the posture at positions ``q (N, n)``: ``(N,)``."""
         i = column.posture - 1
         return np.asarray(((q[:, i] - self.middle[i]) / self.width[i]) ** column.power)
 
@@ -278,7 +278,7 @@ class CommandLaw:
         return sums
 
     def values(self, motion: Motion, column: Column, j: int) -> Array:
-        """What the coefficient of a column is multiplied by along a motion ``(N,)``.
+        """Values of a column along a motion, by which its coefficient is multiplied ``(N,)``.
 
         Args:
             motion, column, j: along which, of which joint's law, and the joint, from 0.
@@ -287,7 +287,7 @@ class CommandLaw:
         return self.posture(motion.q, column) * values if column.posture else values
 
     def error(self, motion: Motion, j: int) -> Array:
-        """What joint ``j`` (from 0) has to see of the command beyond its position along a motion from rest ``(N,)``."""
+        """Required difference of command and position for joint ``j`` (from 0) along a motion from rest ``(N,)``."""
         law, dt = self.joints[j], motion.dt
         num, den = law.shape.discrete(dt)
         sums = self.sums(motion, j)
@@ -297,8 +297,8 @@ class CommandLaw:
         """The command of joint ``j`` (from 0) at instants ``t (M,)`` [s] of a motion.
 
         Args:
-            motion, j: whose rows from ``first`` on count.
-            error: what the joint has to see of the command beyond its position ``(N,)``.
+            motion, j: the motion, used from row ``first`` on, and the joint.
+            error: required difference of command and position ``(N,)``.
             t, ahead: instants, and how much earlier commands are given [s].
             first: row.
         """
@@ -321,7 +321,7 @@ class CommandLaw:
         return np.stack([self.early(motion, j, self.error(motion, j), t, ahead[j]) for j in range(self.n)], axis=1)
 
     def held_out(self, motion: Motion) -> Array:
-        """Standard deviation of what the laws left of motion that they were not fitted to ``(N, n)`` [rad].
+        """Expected residual of the laws on held-out motion, as a standard deviation ``(N, n)`` [rad].
 
         Args:
             motion: along which.
@@ -329,9 +329,9 @@ class CommandLaw:
         return np.sqrt(_by_parts(motion, np.stack([law.error for law in self.joints])))
 
     def variance(self, motion: Motion) -> Array:
-        """Variance of the measured position that the commands for a motion leave ``(N, n)`` [rad²].
+        """Variance of the measured position's error with the commands for a motion ``(N, n)`` [rad²].
 
-        What the laws left of held-out motion, and the noise with which positions are measured.
+        It contains the laws' error on held-out motion, and the noise of measured positions.
 
         Args:
             motion: along which.
@@ -339,7 +339,7 @@ class CommandLaw:
         return self.held_out(motion) ** 2 + np.array([law.noise**2 for law in self.joints])
 
     def apart(self, motion: Motion, j: int) -> list[tuple[float, Array]]:
-        """Probability of each rival of a joint, and how far its commands are beside the law's ``(N,)`` [rad].
+        """Probability of each rival of a joint, and the difference of its commands from the law's ``(N,)`` [rad].
 
         Args:
             motion, j: along which, and the joint, from 0.
@@ -357,7 +357,7 @@ class CommandLaw:
         return result
 
     def cascade_variance(self, motion: Motion) -> Array:
-        """Variance of the measured position that commands by the identified loop of [G] leave ``(N, n)`` [rad²].
+        """Variance of the position error with commands by [G]'s identified loop ``(N, n)`` [rad²].
 
         Args:
             motion: along which.
@@ -389,7 +389,7 @@ class CommandLaw:
             deviation, residual = (float("nan") if own[key] is None else float(own[key])
                                    for key in ("deviation", "residual"))
             error = array(own["error"])
-            if error.shape == (4,):  # before jerk and slowness were parts of it
+            if error.shape == (4,):  # before jerk and slowness were among the parts
                 error = np.insert(error, 3, [0.0, 0.0])
             rivals = tuple(Rival(*_read_terms(rival), float(rival["probability"])) for rival in own.get("rivals", ()))
             joints.append(JointLaw(*_read_terms(own), array(own["covariance"]), error, deviation, residual,
@@ -402,7 +402,7 @@ class CommandLaw:
 
 
 def logged_finely(t_cycle: float, t_ipo: float) -> bool:
-    """Whether a log holds set points in force, more finely than commands are handed over, and not these commands.
+    """Whether a log has interpolated set points, at a finer sampling than the commands.
 
     Args:
         t_cycle, t_ipo: from command to command in the log, and as they are handed over [s].
@@ -439,7 +439,7 @@ def _cubics(count: int) -> Array:
 
 
 def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
-    """Raises InputError for numbers that no law may have: names the key and what was expected.
+    """Raises InputError for impossible numbers of a law; names the key and the expected range.
 
     Args:
         law, n: as read, and how many joints there are.
@@ -496,10 +496,10 @@ def _by_parts(motion: Motion, variances: Array) -> Array:
 
 
 def error_parts(motion: Motion) -> Array:
-    """What the variance of a law's error is made of along a motion ``(N, PARTS, n)``.
+    """Regressors of the error variance of a law along a motion ``(N, PARTS, n)``.
 
-    1, squares of speed, acceleration and jerk, and of reversals two: that the joint is slow, where friction is another,
-    and how fast its direction turns over, over the time of a reversal that lasts 0.1 s.
+    They are 1, the squares of speed, acceleration and jerk, and two for reversals: slow motion, where friction differs,
+    and the rate of the change of direction, relative to a reversal of 0.1 s.
     """
     turning = 0.1 * np.gradient(motion.direction, motion.dt, axis=0)
     return np.stack([np.ones_like(motion.q), motion.qd**2, motion.qdd**2, motion.qddd**2, 1.0 - motion.direction**2,

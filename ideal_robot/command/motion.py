@@ -1,4 +1,4 @@
-"""What the terms of a command law are made of: a motion with its derivatives, torques, and what the bodies ask for."""
+"""Signals for the terms of a command law: a motion with its derivatives, torques, and rigid-body torques."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DEGREE = 5
 
 @dataclass(frozen=True)
 class Bodies:
-    """The rigid bodies of an arm with their rotors, as far as they are known.
+    """The rigid bodies of an arm with their rotors.
 
     Attributes:
         chain: of the links.
@@ -36,7 +36,7 @@ class Bodies:
         return cls(chain_of(dynamics), np.array(rotor_inertia))
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Torque ``(N, n)`` [N m] that a motion asks of the motors, without friction.
+        """Motor torque ``(N, n)`` [N m] of a motion by the rigid bodies, without friction.
 
         Args:
             q, qd, qdd: positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
@@ -59,7 +59,7 @@ class Motion:
     Attributes:
         dt: their distance [s].
         q, qd, qdd, qddd: positions and derivatives ``(N, n)`` [rad, rad/s, …].
-        still: speed below which a joint counts as reversing ``(n,)`` [rad/s].
+        still: speed below which a joint is treated as reversing ``(n,)`` [rad/s].
         torque: of the motors ``(N, n)`` [N m]; None where nobody knows it.
         bodies: of the arm; None where nobody knows them.
     """
@@ -75,11 +75,11 @@ class Motion:
 
     @classmethod
     def of(cls, q: Array, dt: float, still: Array, bodies: Bodies | None = None) -> Motion:
-        """The motion through smooth positions.
+        """The motion of smooth positions, with derivatives.
 
         Args:
             q, dt: positions ``(N, n)`` [rad], and their distance [s].
-            still: speed below which a joint counts as reversing ``(n,)`` [rad/s].
+            still: speed below which a joint is treated as reversing ``(n,)`` [rad/s].
             bodies: of the arm; None where nobody knows them.
         """
         qd, qdd, qddd = spline_derivatives(q, dt, 3)
@@ -108,12 +108,12 @@ class Motion:
 
     @cached_property
     def body_rate(self) -> Array:
-        """Its rate ``(N, n)`` [N m/s]."""
+        """Rate of the torque of the bodies ``(N, n)`` [N m/s]."""
         return spline_derivatives(self.body, self.dt, 1, degree=3)[0]
 
     @cached_property
     def gravity(self) -> Array:
-        """Torque that holds the bodies at rest ``(N, n)`` [N m]."""
+        """Gravity torque of the bodies ``(N, n)`` [N m]."""
         assert self.bodies is not None
         still = np.zeros_like(self.q)
         return self.bodies.torque(self.q, still, still)

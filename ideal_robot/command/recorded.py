@@ -1,4 +1,4 @@
-"""Recordings as the command's law is fitted to them: even instants, one low-pass, commands as a curve of their own."""
+"""Prepares recordings for the fit of a command law: even instants, one low-pass, interpolated commands."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Torque = Callable[[Array, Array, Array, Array, float], Array]
 
 
 def commands_of(recording: Recording) -> str:
-    """Which columns hold the commands: ``q_c``, or ``q_d`` where there is none, or nothing."""
+    """Prefix of the columns with the commands: ``q_c``, or ``q_d`` where there is none, or empty."""
     return next((name for name in ("q_c", "q_d") if recording.has(name)), "")
 
 
@@ -48,10 +48,10 @@ def with_commands(recording: Recording) -> Recording:
 
 
 def moving_at_start(t: Array, q: Array) -> int | None:
-    """The joint, from 0, that moves fastest over its usual speed when a recording starts; None where all rest.
+    """The joint, from 0, that moves fastest when a recording starts, relative to its usual speed; None at rest.
 
-    What a controller remembers of the time before is then not in the recording. An arm that starts from rest with the
-    first row has no speed in it, however soon it is fast: a parabola through the first 50 ms tells.
+    Otherwise the controller's state at the start would be unknown. The initial speed is that of a parabola through the
+    first 50 ms, so that an arm that starts from rest has none.
 
     Args:
         t, q: times ``(N,)`` [s] and positions ``(N, n)`` [rad].
@@ -87,9 +87,9 @@ def _usual_speed(t: Array, q: Array) -> Array:
 
 
 def update_instants(t: Array, q_c: Array) -> np.ndarray:
-    """Rows at which a new command stands ``(M,)``, of those of a recording ``t (N,)``, ``q_c (N, n)`` [s, rad].
+    """Indices of rows with a new command ``(M,)`` in a recording ``t (N,)``, ``q_c (N, n)`` [s, rad].
 
-    A controller that is logged faster than it is commanded shows each command several times.
+    A log that is faster than the commands has each command several times.
     """
     changed = np.any(np.diff(q_c, axis=0) != 0.0, axis=1)
     rows = np.flatnonzero(changed) + 1
@@ -99,7 +99,7 @@ def update_instants(t: Array, q_c: Array) -> np.ndarray:
     every = int(np.median(gaps))
     if every <= 1 or t[every] - t[0] > _LONGEST:
         return np.arange(len(t))
-    # While nothing moves commands are renewed as well, with the same value: the usual step is kept there.
+    # Without motion commands are renewed, too, with the same value: the usual step is used there.
     filled = [np.arange(0, rows[0], every)[::1] + rows[0] % every] if rows[0] >= every else [np.zeros(1, dtype=int)]
     for a, b in zip(rows, [*rows[1:], len(t)], strict=True):
         filled.append(np.arange(a, max(b - every // 2, a + 1), every))
@@ -117,7 +117,7 @@ def command_cycle(recordings: Sequence[Recording], name: str) -> float:
 
 
 def usual_cutoff(recordings: Sequence[Recording]) -> float:
-    """Cut-off that keeps what the joints move with [Hz]."""
+    """Default cut-off of the low-pass [Hz], which preserves the joints' motion."""
     cutoffs = []
     for recording in recordings:
         even = evenly_sampled(recording, columns=False)
@@ -128,7 +128,7 @@ def usual_cutoff(recordings: Sequence[Recording]) -> float:
 def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | None = None,
                  bodies: Bodies | None = None, torque: Torque | None = None, measured: bool = True,
                  still: Array | None = None) -> list[Stretch]:
-    """The recordings' stretches without gaps, low-passed.
+    """The recordings' intervals without gaps, low-passed.
 
     Args:
         recordings: with ``q_i`` and the commands.
@@ -137,7 +137,7 @@ def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | 
         bodies: of the arm, where they are known.
         torque: of the identified model; None where there is none.
         measured: whether the law is fitted with the measured torque, not with the model's.
-        still: speed below which a joint counts as reversing ``(n,)`` [rad/s]; from the motion if None.
+        still: speed below which a joint is treated as reversing ``(n,)`` [rad/s]; from the motion if None.
     """
     cutoff = usual_cutoff(recordings) if cutoff is None else cutoff
     result = []
@@ -151,13 +151,13 @@ def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | 
         dt = float(even.t[1] - even.t[0])
         rows = update_instants(recording.t, recording.joints(name))
         command = interpolated(even.t, recording.t[rows], recording.joints(name, rows))
-        # What passes the low-pass needs no more samples than its cut-off asks for, with room for derivatives.
+        # Low-passed signals need few samples, with a margin for derivatives.
         every = max(1, int(1.0 / (_FINE * cutoff * dt)))
         smooth = lowpass(even.q, dt, cutoff)
         own = Motion.of(smooth[::every], every * dt, still, bodies)
         used = own
         if torque is not None:
-            # Friction turns over at once; measured torque passed the low-pass.
+            # Friction reverses abruptly, while measured torque has passed the low-pass.
             fine = Motion.of(smooth, dt, still)
             used = own.with_torque(lowpass(torque(even.t, fine.q, fine.qd, fine.qdd, cutoff), dt, cutoff)[::every])
             own = own.with_torque(lowpass(even.tau, dt, cutoff)[::every]) if measured else used

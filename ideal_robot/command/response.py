@@ -1,8 +1,7 @@
-"""How a position answers its command while all joints move, and the motion whose commands are a given path.
+"""Response of a position to its command while all joints move, and the motion that follows a commanded path.
 
-A law says which commands make a motion. Read the other way it is a closed loop: with ``P(jω)`` the response of a
-joint's command to its own position, from a pulse along a motion without a reversal, ``1/P`` is that of the position to
-its command.
+A law gives the commands of a motion. Its inverse is the closed loop: with ``P(jω)`` the response of a joint's command
+to its own position, from a pulse along a motion without a reversal, ``1/P`` is that of the position to its command.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _DONE = 1e-3
 
 
 def pulse_answers(required: Required, middle: Array, speed: Array, dt: float, steps: Array) -> tuple[Array, Array]:
-    """A pulse ``(N,)``, and how each joint's commands answer one of its size while all joints move on ``(N, n)``.
+    """A pulse ``(N,)``, and each joint's change of commands for a pulse of its position while all move ``(N, n)``.
 
     Args:
         required: see ``Required``.
@@ -43,7 +42,7 @@ def pulse_answers(required: Required, middle: Array, speed: Array, dt: float, st
     line, pulse = middle + steps[:, None] * dt * speed, np.exp(-0.5 * (steps / WIDTH) ** 2)
     unchanged, answers = required(line), np.empty_like(line)
     for j in range(len(middle)):
-        # The steepest place of the pulse is as steep as e^(-1/2) over its width.
+        # The pulse's largest slope is e^(-1/2) times its height over its width.
         size, changed = PULSE * float(speed[j]) * dt * WIDTH * np.exp(0.5), line.copy()
         changed[:, j] += size * pulse
         answers[:, j] = (required(changed) - unchanged)[:, j] / size
@@ -63,26 +62,26 @@ def position_response(required: Required, middle: Array, speed: Array, dt: float
     count = min(rows, round(REST / dt))
     pulse, answers = pulse_answers(required, middle, speed, dt, np.arange(float(count)) - 0.5 * count)
     own, band = np.fft.rfft(pulse, rows), np.exp(-0.5 * (np.fft.rfftfreq(rows) / _BAND) ** 4)
-    # Where the pulse is nothing, so is the band.
+    # The band is zero where the pulse's spectrum is.
     P = np.fft.rfft(answers, rows, axis=0) / np.where(band > _DONE, own, 1.0)[:, None]
     return np.asarray(band[:, None] * np.conj(P) / np.maximum(np.abs(P), 1.0 / _LARGEST) ** 2)
 
 
 def uncorrected(required: Required, q_d: Array, dt: float, still: Array) -> Array:
-    """Error ``(N, n)`` [rad] that a path leaves when it is commanded as it is: ``q_d - q``.
+    """Error ``q_d - q (N, n)`` [rad] if a path is commanded without correction.
 
-    The motion ``q`` is looked for whose commands are the path, by Newton's steps with each joint's own response,
-    ``e ← e + (required(q_d - e) - q_d) / P``. Friction, gravity and the other joints are what they go round for.
+    The motion ``q`` is computed whose commands are the path, by Newton's steps with each joint's own response, ``e ← e
+    + (required(q_d - e) - q_d) / P``. The iterations are needed for friction, gravity and the other joints.
 
     Args:
         required: see ``Required``.
         q_d, dt: path ``(N, n)`` [rad], and the distance of its rows [s].
-        still: speed below which a joint counts as reversing ``(n,)`` [rad/s].
+        still: speed below which a joint is treated as reversing ``(n,)`` [rad/s].
     """
     rest = round(REST / dt)
     path = held(q_d, before=rest, after=rest)
     speed = np.maximum(np.std(np.gradient(q_d, dt, axis=0), axis=0), 10.0 * still)
-    # A rest at another place than at the start must not come round to the start.
+    # The taper keeps an end at another place than the start from wrapping around to the start.
     taper = np.minimum(1.0, np.arange(len(path))[::-1] / rest)[:, None]
     inverse = position_response(required, np.mean(q_d, axis=0), speed, dt, len(path))
 

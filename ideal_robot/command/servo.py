@@ -1,10 +1,10 @@
-"""A joint as PD control: what simulators call a position actuator, with what its drive adds of the bodies' torques.
+"""A joint under PD control, the position actuator of simulators, with its drive's compensation of body torques.
 
     τ = K (q_c - q) - D q̇ + s_g g(q) + s_c c(q, q̇)
 
-with the measured torque. As a law of the command, ``q_c - q = τ/K + (D/K) q̇ - (s_g/K) g - (s_c/K) c``; drives that take
-rates from the last two readings and report the last cycle's torque see rate and torque a part of a cycle late, which
-terms of the acceleration and of the torque's rate stand for.
+with the measured torque. As a law of the command, ``q_c - q = τ/K + (D/K) q̇ - (s_g/K) g - (s_c/K) c``; drives that
+take rates from the last two readings and report the last cycle's torque use rate and torque with a delay of a part of a
+cycle, which terms of the acceleration and of the torque's rate represent.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Servo:
 
     @classmethod
     def of(cls, coefficients: Mapping[str, float], covariance: Array, late: float = 0.0) -> Servo | None:
-        """The servo of a law's coefficients; None where the torque does not lead the command.
+        """The servo of a law's coefficients; None where the coefficient of the torque is not positive.
 
         Args:
             coefficients: of ``SERVO``.
@@ -71,5 +71,5 @@ class Servo:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any] | None) -> Servo | None:
-        """Reads what a model file holds of it; None for nothing."""
+        """Reads a servo from a model file; None for none."""
         return None if values is None else cls(*(float(values[own.name]) for own in fields(cls)))

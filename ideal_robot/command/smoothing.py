@@ -1,7 +1,7 @@
-"""What happens to commands before a controller compares them: lateness, lag, moving average, second-order smoothing.
+"""Processing of commands before a controller's comparison: delay, lag, moving average, second-order smoothing.
 
 Each is a filter with unit gain at rest, forwards for the fit (``seen``) and inverted for use (``wanted``): the command
-that makes the controller see a given signal.
+for which the controller's input is a given signal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Smoothing:
 
     Attributes:
         name: its key in a model file.
-        seen: what the controller sees of commands ``(N, m)`` at instants ``dt`` apart, for a time [s].
+        seen: controller's input for commands ``(N, m)`` at instants ``dt`` apart, for a time [s].
         delay: by how much it delays slow motion, over its time.
         bend: ``(w_1, w_2)``: the inverse is ``r(t + delay) + w_1 T ṙ + w_2 T² r̈`` taken at ``t + late``.
         late: the part of the delay that the inverse looks ahead by, over its time.
@@ -43,7 +43,7 @@ class Smoothing:
         return self.late + self.bend[0]
 
     def before(self, r: Array, dt: float, time: float) -> Array:
-        """The command ``(N, m)``, ``late * time`` [s] early, that makes the controller see a signal.
+        """The command ``(N, m)`` for which the controller's input is ``r``, given ``late * time`` [s] early.
 
         Args:
             r, dt: the signal ``(N, m)``, and the distance of its rows [s].

@@ -1,9 +1,9 @@
-"""What a joint controller may make of a motion: terms in which the command's law is linear.
+"""Terms of joint controllers, in which the command law is linear.
 
-With ``r`` the command as the controller sees it and ``e = r - q``, each controller that is linear between command,
-angle and torque obeys ``A(s) e = Σ c_k x_k``; a term is an ``x_k`` of the motion, and A the command's own poles
+With ``r`` the controller's input and ``e = r - q``, each controller that is linear between command, angle and torque
+obeys ``A(s) e = Σ c_k x_k``; a term is an ``x_k`` of the motion, and A the command's own poles
 (``ideal_robot.command.law.Shape``). Terms behind the integrator pass ``H = s / (s + 1/T)``: a controller with reset
-time T must see that of what it shall put out. The P/PI cascade is ``e = q̇/k_v + H[τ]/(k_p k_v)``, a PD controller that
+time T needs that input for its output. The P/PI cascade is ``e = q̇/k_v + H[τ]/(k_p k_v)``, a PD controller that
 compensates gravity ``e = (τ - g)/K + (D/K) q̇``, a PID controller ``e + (D/K) H[ė] = H[τ]/K``.
 """
 
@@ -28,8 +28,8 @@ class Term:
         integrated: whether it passes the integrator's filter.
         torque, bodies: whether it needs the motors' torque, and the arm's bodies.
         same: the term without an integrator that it is the same as where there is none.
-        moves: whether it is of the motion alone and passes no integrator: a gain of a position loop. The others stand
-            for a torque.
+        moves: whether it depends on the motion alone and has no integrator: a gain of a position loop. The others
+            represent a torque.
     """
 
     name: str

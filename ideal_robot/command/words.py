@@ -1,4 +1,4 @@
-"""What a law says in the field's words: which controller it is, with its gains, and how late it acts."""
+"""Describes a law in words: the kind of controller, its gains, and its delay."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def described(law: JointLaw, unit: str = "N m/rad") -> str:
 
 
 def beyond_cascade(law: CommandLaw) -> tuple[tuple[int, str], ...]:
-    """What each joint's controller does that a P/PI cascade does not: joint, from 1, and what, in the field's words.
+    """Functions of each joint's controller beyond a P/PI cascade: joint, from 1, and the function in words.
 
-    For whoever closes a loop: a loop of [G]'s cascade lacks it, the law of the command has it.
+    A loop of [G]'s cascade lacks these functions, while the command law has them.
     """
     found = []
     for j, own in enumerate(law.joints, start=1):
@@ -51,7 +51,7 @@ def _controller(law: JointLaw, unit: str) -> list[str]:
     shape, torque, speed = law.shape, law.coefficient("torque"), law.coefficient("velocity")
     behind = speed + shape.a_1
     if torque > 0.0 and shape.reset is not None:
-        # The velocity that is not fed forward makes the joint lag: (1 - k_ff)/k_v, and the rest is the command's pole.
+        # Velocity that is not fed forward gives the lag (1 - k_ff)/k_v; the rest is the command's pole.
         parts = ["P/PI cascade", *([f"{1.0 / behind:.3g} 1/s"] if behind > 0.0 else []),
                  f"reset time {_ms(shape.reset)}"]
         share = shape.a_1 / behind if behind > 0.0 else 0.0

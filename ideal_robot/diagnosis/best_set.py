@@ -1,11 +1,11 @@
-"""The set of causes with the best score: how densely it predicts blocks of time, and how likely it is beforehand.
+"""Searches the set of causes with the best score: log predictive density of blocks of time plus log prior.
 
     L(S) = Σ_b ln p(y_b | blocks before, S) + ln prior(S)
 
-A cause that is not in a set is not absent to the last newton metre: no model class is right in any direction to better
-than a share of what it leaves. So the columns of a cause are in both sets that are compared, with a wide prior of size
-where the set has it and with a narrow one where it has not; the narrow one is that share. Hence a cause counts by how
-far it stands above what the class cannot say, however long the recording is.
+A cause outside a set need not be exactly zero: every model class has an error in each direction, a share of its
+residual. So the columns of a cause are in both compared sets, with a wide prior where the set has it and a narrow one,
+of that share, where it has not. Hence a cause is judged by its size relative to the model class's error, however long
+the recording is.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ MOST = 16
 
 @dataclass(frozen=True)
 class Weighed:
-    """A candidate in the present model.
+    """A candidate with its gain in score in the present model.
 
     Attributes:
         candidate, joined: with its coefficients beside the others.
@@ -80,10 +80,10 @@ class BestSet:
 
     Args:
         problem: the regression; its prior is that of the model's parameters.
-        effects: what to choose from.
+        effects: candidate effects.
         absorbed: whether effects are tried that the model's own parameters could take over.
-        only: names and joints of the effects that may be looked for; then no curve is tried either.
-        noise: of each channel, where it is known from elsewhere; from the residual if None.
+        only: names and joints of the effects that are permitted; then no curve is tried either.
+        noise: of each channel, where it is given; from the residual if None.
         progress: called with the share done and a word.
     """
 
@@ -152,7 +152,7 @@ class BestSet:
 
     @property
     def keys(self) -> list[str]:
-        """Groups of the present fit."""
+        """Names of the column groups in the present fit."""
         return ["W", *[c.key for c in self.choices]]
 
     def _refresh(self) -> None:
@@ -191,24 +191,24 @@ class BestSet:
                 columns.append(basis * signals.sliding_direction(j + 1)[:, None] if term.directed else basis)
         stacked = np.concatenate(columns, axis=1) * use[:, None]
         stacked = stacked / (np.linalg.norm(stacked, axis=0) + 1e-300)
-        # No more functions than a fifth of the rows: else noise itself is taken for smooth.
+        # At most a fifth as many functions as rows: otherwise noise would count as smooth.
         U, values, _ = np.linalg.svd(stacked, full_matrices=False)
         return np.asarray(U[:, (values > 1e-4 * values[0]) & (np.arange(len(values)) < use.sum() // 5)])
 
     def add(self, candidate: Candidate) -> None:
-        """Makes a candidate's columns part of the system if they are not yet."""
+        """Adds a candidate's columns to the system if they are not yet part of it."""
         if candidate.key not in self.system.groups:
             self.system.add(candidate.key, self.problem.columns(candidate))
 
     def wide(self, candidate: Candidate) -> Array:
-        """Root of the coefficients' covariance beforehand ``(m, m)``: a channel moves as far as it varies, or is off.
+        """Root of the prior covariance of the coefficients of a cause in the set ``(m, m)``.
 
-        Where an effect knows how large it is, as far as it says.
+        The prior is the effect's own, or else the size of the channel's variation.
         """
         if candidate.key not in self._wide:
             spread = candidate.effect.spread(self.regression.signals, candidate.joint)
             if spread is None:
-                # What was measured of positions is about its mean, and what a cause makes may be constant.
+                # Measured positions are relative to their mean, while a cause may add a constant.
                 measured = np.array([max(channel.weight * float(self.system.total(j, key, key)[2].sum())
                                          for key in ("measured", "y")) if channel.weight else 0.0
                                      for j, channel in enumerate(self.system.channels)])
@@ -219,7 +219,7 @@ class BestSet:
         return self._wide[candidate.key]
 
     def joined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Joined:
-        """The candidate beside a fit of other groups.
+        """The gain when the candidate is added to a fit of other groups.
 
         Args:
             candidate: with its shapes.
@@ -229,7 +229,7 @@ class BestSet:
         return joined(fitted, *self.system.beside(candidate.key, keys), self.wide(candidate))
 
     def plausible(self, candidate: Candidate, coefficients: Array) -> bool:
-        """Whether physics allows the coefficients, and nothing is of a size that nobody has seen."""
+        """Whether the coefficients are physically possible and not of an implausible size."""
         signals = self.regression.signals
         spread = candidate.effect.spread(signals, candidate.joint)
         if spread is not None and np.any(np.abs(coefficients) > LARGEST * np.sqrt(np.diag(spread))):
@@ -240,7 +240,7 @@ class BestSet:
     # The score.
 
     def narrow(self, candidate: Candidate, others: Sequence[Candidate], matters: bool = False) -> Array:
-        """Root of the coefficients' covariance ``(m, k)`` of a cause that is not in a set: what the class may err by.
+        """Root of the prior covariance of the coefficients of a cause outside the set ``(m, k)``: the class's error.
 
         Args:
             candidate, others: the cause, and all that is in the set or beside it.
@@ -250,17 +250,17 @@ class BestSet:
         keys = ["W", *[c.key for c in others if c.key != candidate.key]]
         fitted = self.system.posterior(keys)
         across, own, _ = self.system.beside(candidate.key, keys)
-        # A share of the residual, and of other causes in the same channels, of which no form is quite right.
+        # A share of the residual, and of other causes in the same channels, as no model form is exact.
         error = (CURVE_ERROR if candidate.effect.learned else CLASS_ERROR) * (1.0 + candidate.effect.usual)
         places, squares = self.system.places(keys), error**2 * self._of_channels(candidate.key, self.system.count)
         channels = set(self.system.groups[candidate.key].channels)
         for other in others:
-            # What is wrong with the form of a cause of the whole arm shows in its joints.
+            # An error in the form of a whole-arm cause appears in single joints.
             if other.key != candidate.key and (other.joint == candidate.joint or (candidate.joint and
                                                channels <= set(self.system.groups[other.key].channels))):
                 squares += BESIDE**2 * self._squares_in(other.key, fitted.mean[places[other.key]], channels)
         if self.problem.root is not None:
-            # The errors are in what parameters with a prior are estimated from, too.
+            # The errors also affect the data from which parameters with a prior are estimated.
             level = 1.0 + squares
             fitted = posterior(self.system.gram_of_all(keys) / level, self.system.full_precision(keys))
             across, own, squares = across / level, own / level, squares / level
@@ -279,7 +279,7 @@ class BestSet:
         else:
             least = np.array([(SMALLEST_SEEN if r.domain == SENSOR and unit == "m" else SMALLEST.get(unit, 0.0))
                               for unit in r.units])
-        # A column may show in several channels: the one in which it is largest decides.
+        # For a column in several channels the one with its largest size decides.
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.min(np.where(size > 0.0, least[list(group.channels)][:, None] / size, np.inf), axis=0)
         return np.where(np.isfinite(spread), spread, 0.0) / np.sqrt(group.m)
@@ -335,7 +335,7 @@ class BestSet:
         return {c.key: _inverse(self.wide(c)) for c in chosen}
 
     def cost(self, candidate: Candidate) -> float:
-        """Nats that naming it costs."""
+        """Cost in nats of naming the cause."""
         return float(np.log(max(len(self.pool), 1)) + candidate.cost)
 
     def better(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> float:
@@ -345,16 +345,16 @@ class BestSet:
                 sum(map(self.cost, theirs)) - sum(map(self.cost, ours)))
 
     def matters(self, choice: Candidate) -> bool:
-        """Whether a cause of the set is larger than nobody would care about; if not, it explains without a name."""
+        """Whether the cause is large enough to be reported; otherwise it is fitted without a name."""
         rest = [c for c in self.choices if c is not choice]
         return self._beside(rest, [choice], []) - self._beside(rest, [], [choice], matters=True) > self.cost(choice)
 
     def better_by_block(self, chosen: Sequence[Candidate], than: Sequence[Candidate], step: int = 1) -> Array:
-        """What each block of time adds to ``better``, without the priors of names ``(B / step,)``.
+        """Shares of the blocks of time in ``better``, without the priors of names ``(B / step,)``.
 
         Args:
             chosen, than: two sets.
-            step: blocks that are looked at together.
+            step: blocks that are combined.
         """
         common, ours, theirs = _apart(chosen, than)
         either = []
@@ -368,7 +368,7 @@ class BestSet:
     # The search.
 
     def run(self, start: Sequence[Candidate] = ()) -> list[Candidate]:
-        """The best set, from another one."""
+        """Searches the best set, starting from another one."""
         self.choices = list(start)
         self._refresh()
         if start:
@@ -377,7 +377,7 @@ class BestSet:
         for round_ in range(MOST):
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             best = self._best()
-            # Noise and levels are those of each set: one that comes again is as good as what led back to it.
+            # Noise and levels are computed for each set: a set that recurs ends the search.
             if best is None or (places := frozenset(c.place for c in self.choices)) in seen:
                 break
             seen.add(places)
@@ -388,7 +388,7 @@ class BestSet:
         return self.choices
 
     def take(self, choices: list[Candidate]) -> None:
-        """Takes a set, with the noise and the levels that follow from it."""
+        """Accepts a set, with its noise and levels."""
         self.choices = choices
         self._refresh()
 
@@ -398,12 +398,12 @@ class BestSet:
 
     def ranked(self, hole: Candidate | None = None, finalists: int = FINALISTS, *,
                anywhere: bool = False, least: float = 0.0) -> list[Weighed]:
-        """Candidates that are refined and scored beside the present set, or in the place of one of it, best first.
+        """Candidates added to the set, or replacing one of its causes, refined and scored, best first.
 
         Args:
-            hole: the cause of the set in whose place they are looked at, at its joint or ``anywhere``.
+            hole: the cause of the set to be replaced, at its joint or ``anywhere``.
             finalists: how many of them are refined.
-            anywhere: whether other joints are looked at too.
+            anywhere: whether other joints are tried, too.
             least: nats below which a candidate is none.
         """
         rest = [c for c in self.choices if c is not hole]
@@ -428,7 +428,7 @@ class BestSet:
             refined = self.refined(w.candidate, fitted, keys)
             own = self.joined(refined, fitted, keys)
             result.append(Weighed(refined, own, own.evidence - self.cost(refined)))
-        # By what they explain; how far one stands above what the class cannot say decides whether it is taken.
+        # Sorted by the explained part; the size relative to the class's error decides about acceptance.
         result.sort(key=lambda w: -w.nats)
         beside = [] if hole is None else [hole]
         return [replace(w, nats=self._beside(rest, [w.candidate], beside) - self.cost(w.candidate)
@@ -449,7 +449,7 @@ class BestSet:
         return None if best is None else replace(best, nats=best.nats - self.cost(best.candidate))
 
     def refined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Candidate:
-        """The candidate with the shapes of most evidence beside a fit of others.
+        """The candidate with the shapes of largest evidence, given a fit of others.
 
         Args:
             candidate: with shapes to begin with.
@@ -483,7 +483,7 @@ class BestSet:
             optimum = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded",
                                                options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
         else:
-            # Steps in proportion to what is allowed, not to the start, which may be zero; inwards from a bound.
+            # Steps are relative to the bounds, not to the start, which may be zero; at a bound they go inwards.
             low, high = np.array(bounds).T
             start = np.clip(np.array(candidate.theta), low, high)
             steps = np.where(start < 0.5 * (low + high), FIRST_STEP, -FIRST_STEP) * (high - low)
@@ -513,7 +513,7 @@ class BestSet:
         return gone is not None
 
     def taken_out(self, gains: Callable[[list[list[Candidate]]], Sequence[float]], least: float) -> Candidate | None:
-        """Takes the cause that gains least out of the set and returns it; None where it gains ``least`` or more.
+        """Removes the cause with the least gain from the set and returns it; None if that is at least ``least``.
 
         Args:
             gains: by how much the set is better than each of the sets without one of its causes.
@@ -557,7 +557,7 @@ class BestSet:
             self._improve()
 
     def curves_of(self, j: int, holes: Sequence[Candidate]) -> list[Candidate]:
-        """The three most promising curves of one channel, from 0, in the place of causes of the set or beside all."""
+        """The three best curves of one channel, from 0, replacing causes of the set or added to all."""
         r, domain = self.regression, self.regression.domain
         use = r.use[:, j]
         if not use.any() or any(c.effect.learned and c.joint == j + 1 for c in self.choices):
@@ -582,7 +582,7 @@ class BestSet:
         return self._tests
 
     def total(self, others: Sequence[Candidate]) -> float:
-        """Score of the best set, its prior included, by which sets beside other priors of parameters are compared.
+        """Total score of the best set with its prior, to compare sets under other priors of parameters.
 
         Args:
             others: causes of the sets that it is compared with; those that it has not are beside it.
@@ -600,14 +600,14 @@ class BestSet:
 
     @property
     def rows(self) -> np.ndarray:
-        """Rows that the noise is that of ``(N, c)``: used, and no kicks."""
+        """Rows from which the noise is computed ``(N, c)``: used, and no outliers."""
         return np.column_stack([channel.use for channel in self.system.channels])
 
     def about(self, problem: Problem) -> BestSet:
-        """A copy of the best set, with the noise that it has here, for the regression of another model.
+        """A copy of the best set, with its present noise, for the regression of another model.
 
         Args:
-            problem: that regression; the search does not go on, only numbers are fitted anew.
+            problem: that regression; only coefficients are fitted again, without a search.
         """
         other = BestSet(problem, [], absorbed=self.absorbed, noise=self.noise)
         other.pool, other.learns, other.choices = self.pool, self.learns, list(self.choices)
@@ -623,21 +623,21 @@ class BestSet:
         return self.problem.numbers(self.system, choices, uncertainty=False)
 
     def estimate(self) -> Estimate:
-        """Numbers of the best set, fitted together with the model's parameters, with their uncertainty.
+        """Coefficients of the best set, fitted together with the model's parameters, with their uncertainty.
 
-        The noise is that which the set leaves, whatever it is; shapes join the fit by their derivatives.
+        The noise is that of the set's residual; shapes are linearised in the fit.
         """
         if self.fixed is None:
             fitted = self.system.posterior(self.keys)
             for _ in range(2):
                 self.system.with_noise(self.system.residual(self.keys, fitted.mean))
                 fitted = self.system.with_levels(self.keys)
-        # A noise that is known from elsewhere is not made smaller by what one recording leaves.
+        # A noise that is given is not reduced by a small residual of one recording.
         return self.problem.numbers(self.system, self.choices, inflate=self.fixed is not None,
                                     more=self._precisions(self.choices))
 
     def predicted_by_others(self, choices: Sequence[Candidate]) -> Array:
-        """What a set leaves of each row, fitted to all other blocks of time ``(N, c)``."""
+        """Residual of each row with a set fitted to all other blocks of time ``(N, c)``."""
         for candidate in choices:
             self.add(candidate)
         keys = ["W", *[c.key for c in choices]]
@@ -657,7 +657,7 @@ def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list
 def _spread_of(own: Array, squares: float) -> Array:
     """Root of the prior covariance ``(m, m)`` with which columns of these products have ``squares`` on average."""
     values, vectors = np.linalg.eigh(0.5 * (own + own.T))
-    # What others make all but rounding of has no direction of its own.
+    # Directions that other columns reproduce up to rounding have no direction of their own.
     values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
     return np.asarray(vectors * np.sqrt(max(squares, 0.0) / (len(own) * values)))
 
@@ -675,7 +675,7 @@ def _error_of(own: Array, known: Array, squares: float) -> Array:
         squares: on average.
     """
     values, vectors = np.linalg.eigh(0.5 * (own + own.T))
-    # What others make all but rounding of has no direction of its own.
+    # Directions that other columns reproduce up to rounding have no direction of their own.
     values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
     middle = vectors.T @ (own - known) @ vectors
     size, ways = np.linalg.eigh(0.5 * (middle + middle.T))

@@ -1,4 +1,4 @@
-"""What a diagnosis is asked, and what its stages have found so far."""
+"""The arguments of a diagnosis, and the findings of its stages so far."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ideal_robot.signals.recording import Recording
 
 @dataclass(frozen=True)
 class Case:
-    """What is asked; see ``diagnose`` for what has no words here.
+    """The arguments of a diagnosis; see ``diagnose`` for those not described here.
 
     Attributes:
         given: the model that was known before, or None.
@@ -45,7 +45,7 @@ class Case:
 
     def torque_regression(self, recording: Recording, model: Model, *, cutoff: float | None = None,
                           reversal_width: Array | None = None) -> Regression:
-        """See ``torque_regression``. The regression of the motor torques of one of the recordings about a model."""
+        """Builds the regression of a recording's motor torques about a model; see ``torque_regression``."""
         regression = without_dead_channels(torque_regression(
             recording, self.robot, model, cutoff=self.cutoff if cutoff is None else cutoff, shared=self.shared,
             reversal_width=reversal_width, payload=self.given is not None), self.dead)
@@ -53,7 +53,7 @@ class Case:
 
 
 def joints_share(recording: Recording, robot: Robot, model: Model | None) -> bool:
-    """Whether joints share inertias: not where torques are made of currents without known gains, and so in amperes.
+    """Whether joints share inertias: not where torques are currents in amperes, without known gains.
 
     Args:
         recording, robot: as it was read (checks add the torques), and the arm.
@@ -64,18 +64,18 @@ def joints_share(recording: Recording, robot: Robot, model: Model | None) -> boo
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found so far.
+    """The findings of a diagnosis so far.
 
     Attributes:
         start: the model about which the regression is made.
         problem: the regression of the motor torques.
         reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], where it was fitted.
         best: the search for the causes of the motor torque, once it has run.
-        taken_for: what a given model's parameters were taken for.
+        taken_for: hypothesis about a given model's parameters.
         pushed: see ``prior.Known``.
         validation: the regression of the validation recording, or None.
         domains: the domains after their search, that of the motor torque first.
-        results: what they add to the report.
+        results: their results for the report.
         warnings: for people.
         fixed: parameters, from 0, that are zero as they would drive the joint instead of braking it.
     """
@@ -94,7 +94,7 @@ class Findings:
 
     @property
     def best_set(self) -> BestSet:
-        """The search for the causes of the motor torque, which has run."""
+        """The finished search for the causes of the motor torque."""
         if self.best is None:
             raise RuntimeError("the causes of the motor torque were not looked for yet")
         return self.best

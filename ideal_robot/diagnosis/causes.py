@@ -1,9 +1,9 @@
-"""Candidates of the one list: an effect at a joint with its shapes, and what it costs to name it.
+"""Candidates for causes: an effect at a joint with its shapes, and the cost of naming it.
 
     ln prior(S) = −Σ_c [ ln(candidates) + ln(starts) + ½ ln(1000) per physical shape + what its effect says ]
 
-A cause is one of all that could be there, at one of the starts of its shapes that were looked at; each shape is known
-beforehand to a factor of about thirty of its uncertainty.
+A cause is one of all candidates, at one of the tried starts of its shapes; the prior of each shape is about thirty
+times as wide as its uncertainty.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Candidate:
 
     Attributes:
         effect, joint, theta: see ``Effect``.
-        tries: how many starts of theta were looked at to arrive here.
+        tries: number of starts of theta that were tried.
     """
 
     effect: Effect
@@ -49,12 +49,12 @@ class Candidate:
 
     @cached_property
     def place(self) -> str:
-        """Effect, channel and joint without theta: what competes with itself over theta."""
+        """Effect, channel and joint without theta; candidates with the same place differ in theta only."""
         return f"{self.effect.name}:{self.effect.channel(self.joint)}:{self.joint}:{hash(self.effect)}"
 
     @property
     def cost(self) -> float:
-        """Nats that its starts and shapes cost, and what its effect says beforehand."""
+        """Cost in nats of its starts and shapes, with the effect's prior."""
         own = np.log(max(self.tries, 1)) - self.effect.prior
         if isinstance(self.effect, Unknown):
             return float(own + CURVE * len(self.effect.depends_on))
@@ -62,9 +62,9 @@ class Candidate:
         return float(own + SHAPE * len(self.theta) * physical)
 
     def one_at_most_with(self, other: Candidate) -> bool:
-        """Whether the two are forms of one cause at one joint, of which it has one at most.
+        """Whether the two are forms of one cause at one joint, of which a set has one at most.
 
-        It is late once; and of two springs a sum takes any curve over the angle.
+        A signal has one delay; and a sum of two springs would fit any curve over the angle.
         """
         alike = any(isinstance(self.effect, kind) and isinstance(other.effect, kind) for kind in (DeadTime, AngleLaw))
         return self.joint == other.joint and (self.effect.name == other.effect.name or alike)
@@ -81,7 +81,7 @@ def candidates(effects: Sequence[Effect], signals: Signals, absorbed: bool,
     Args:
         effects, signals: to try, in a recording.
         absorbed: whether effects may be tried that the model's own parameters can take over.
-        only: names and joints of the effects that may be looked for; all if None.
+        only: names and joints of the effects that are permitted; all if None.
     """
     for effect in effects:
         if effect.absorbed_by_base and not absorbed:

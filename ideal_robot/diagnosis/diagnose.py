@@ -1,4 +1,4 @@
-"""The diagnosis: residual, search, extended model, and errors before and after on data that took no part."""
+"""The diagnosis: residual, search, extended model, and errors before and after on held-out data."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ideal_robot.signals.sampling import shortened
 
 
 def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
-    """The answer after all stages."""
+    """The result after all stages."""
     answer = _of_domains(case, found)
     unexplained = answer.unknown or answer.unexplained
     model, warnings = _extended(case, found)
@@ -42,7 +42,7 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:
-    """The answer where no joint moves: what sensors show beside it as it is."""
+    """The result where no joint moves, with the findings of sensors."""
     answer, torque = _of_domains(case, found), found.problem.regression
     error, signal = (rms(values, torque.use) for values in (torque.y, torque.measured))
     numbers = (values.tolist() for values in (error, torque.noise_floor, signal, torque.use.mean(axis=0)))
@@ -125,7 +125,7 @@ def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...
     added = [effect for result in found.results
              for effect in (*(named.fitted for named in result.found), *result.small)]
     change, covariance = final.change.copy(), final.covariance.copy()
-    # What stands at its limit has no scatter.
+    # A parameter at its bound has no variance.
     index = list(found.fixed)
     covariance[index], covariance[:, index], change[index] = 0.0, 0.0, 0.0
     left, seen = rms(whole.residual(torques), torques.use), torques.use.any(axis=0)
@@ -136,7 +136,7 @@ def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...
         known = Model.nominal(case.robot) if case.given is None else case.given
         model = with_possible_inertias(model, known.consistent)
     except IdealRobotError as error:
-        # What was found does not depend on it: torques come from the base parameters.
+        # The found effects do not depend on it: torques come from the base parameters.
         warnings = (f"the extended model predicts torques, but cannot be simulated: {error}",)
     found_in = {"recording": case.recording.source, "hash": case.recording.hash,
                 "effects": [effect.name for effect in added]}
@@ -193,19 +193,19 @@ def _unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
              progress: Progress = silent, only: Only | None = None, cutoff: float | None = None) -> Diagnosis:
-    """Says which physical effect a model misses in a recording, in which joint, and what it is worth.
+    """Finds the physical effects that a model lacks in a recording, their joints and their improvement.
 
     Args:
-        recording: what was measured.
+        recording: the measured recording.
         robot: the arm it was measured on.
-        model: what was known before; without it a rigid body with Coulomb and viscous friction, rotors and offsets is
+        model: a model known before; without it a rigid body with Coulomb and viscous friction, rotors and offsets is
             identified from the recording first.
         validate: another recording of the same arm on which errors are reported; without it each block of time of
             ``recording`` is predicted by the fit to all others.
         progress: called with the share done and a word.
-        only: names and joints of the effects that may be looked for, for an oracle; then nothing is learned either.
-        cutoff: of the position filter [Hz]; 20 Hz if None, or a quarter of a slower sampling rate. The band in which
-            torques are looked at and the time left out around reversals follow it.
+        only: names and joints of the effects that are permitted, for an oracle; then no curve is learned either.
+        cutoff: of the position filter [Hz]; 20 Hz if None, or a quarter of a slower sampling rate. The used band of
+            torques and the time excluded around reversals depend on it.
 
     Raises:
         InputError: a recording that cannot be used, or a model of another arm.

@@ -1,13 +1,13 @@
-"""What is known of a given model's parameters before a recording: as of the same arm, or of another arm of its type.
+"""Prior of a given model's parameters for a new recording: of the same arm, or of another arm of its type.
 
-Each arm differs from its model by what no day repeats: friction, its curve over speed, gains, offsets, gears, the phase
-of a ripple. These are columns beside the parameters, with a spread of their own,
+Each arm differs from its model by quantities that change from day to day: friction, its curve over speed, gains,
+offsets, gears, the phase of a ripple. These are columns beside the parameters, with a spread of their own,
 
     cov = diag( cov(model | shapes of its friction) , day² )                                 the same arm
     cov = diag( cov(model | shapes) + G diag(spread of the type)² G' , day² + type² )        another arm of its type
 
-with G the grouping of full into base parameters ([G] 3.1.2). "All parameters are others" is so a set like all others:
-it pays for its parameters by their prior, and a load of one number beats forty free ones.
+with G the grouping of full into base parameters ([G] 3.1.2). "All parameters differ" is then a set like the others: its
+parameters cost by their prior, and a load with one number is preferred to forty free ones.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ _ORDER = 8
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What the parameters of a given model are taken for.
+    """A hypothesis about a given model's parameters.
 
     Attributes:
         name: in words.
-        root: matrix ``R (P + K, P + K)``, the covariance of the parameters about the model's, and of what differs by
-            the day, being ``R R'``.
-        logarithm: of its probability beforehand, against the same arm.
+        root: matrix ``R (P + K, P + K)``, the covariance of the parameters about the model's, and of the daily changes,
+            being ``R R'``.
+        logarithm: logarithm of its prior odds, against the same arm.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Spread:
 
 
 def spreads(model: Model, robot: Robot, regression: Regression) -> list[Spread]:
-    """What an arm differs by from its model without anything being wrong with it.
+    """The normal differences of an arm from its model, without any fault.
 
     Args:
         model, robot: that was given.
@@ -121,7 +121,7 @@ def spreads(model: Model, robot: Robot, regression: Regression) -> list[Spread]:
         found += [Spread(alone(j, rubs[:, j]), 0.03, 0.15), Spread(alone(j, rises[:, j]), 0.05, 0.15),
                   Spread(alone(j, s.torque[:, j]), 0.005, 0.02),
                   Spread(alone(j, np.full(len(s.t), dry[j])), 0.02, 0.03)]
-        # The terms of friction's curve have the spread of all that a law may lack; a third of it is there every day.
+        # The terms of friction's curve have the spread of all errors of a law; a third of it changes daily.
         terms = friction_terms(shares[j], np.ascontiguousarray(along[:, j]))
         found += [Spread(alone(j, dry[j] * term), 0.33, 0.0) for term in terms.T[2:]]
         if bends.usable(s, j + 1):
@@ -136,12 +136,12 @@ def spreads(model: Model, robot: Robot, regression: Regression) -> list[Spread]:
 
 @dataclass(frozen=True)
 class Known:
-    """The regression of motor torques about a given model, with all that an arm differs by from it.
+    """The regression of motor torques about a given model, with all normal differences of an arm from it.
 
     Attributes:
-        regression: with what differs by the day as further parameters.
-        differs: what that is.
-        pushed: whether what a force sensor at the tool shows acts along (1), against its readings (-1), or not at all.
+        regression: with daily changes as further parameters.
+        differs: those daily changes.
+        pushed: whether the force of a sensor at the tool acts along (1) or against its readings (-1), or is not used.
     """
 
     regression: Regression
@@ -150,13 +150,13 @@ class Known:
 
 
 def known(model: Model, robot: Robot, regression: Regression, recording: Recording, pushed: int | None = None) -> Known:
-    """The regression about a given model, with all that an arm differs by from it.
+    """The regression about a given model, with all normal differences of an arm from it.
 
     Args:
         model, robot: that was given.
         regression: of the motor torques about it.
-        recording: whose regression it is; a force sensor in it says what pushes the tool.
-        pushed: see ``Known``; found in the recording if None.
+        recording: its recording; a force sensor in it gives the external force.
+        pushed: see ``Known``; estimated from the recording if None.
     """
     differs = spreads(model, robot, regression)
     push = _pushed(recording, robot, regression)
@@ -167,7 +167,7 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
     anyway = [*differs, Spread(felt, 1.0, 0.0)]
     W = _with_spreads(regression, anyway)
     if pushed is None:
-        # Which way the sensor counts no recording says in words.
+        # The sign of the sensor is not in the recording, so both are tried.
         root = _root_of_day(model, anyway)
         system = System(regression.y, W, regression.use, root)
         system.take_noise(noise_of(model, _floor(regression), regression.step))
@@ -208,7 +208,7 @@ def _root_of_day(model: Model, found: list[Spread]) -> Array:
 
 
 def same_arm(model: Model) -> Array:
-    """Matrix ``R (P, P)``, the covariance of a model's parameters being ``R R'``, as long as it is the same arm."""
+    """Matrix ``R (P, P)`` of the covariance ``R R'`` of a model's parameters, if the arm is the same."""
     return root_of(_same(model))
 
 
@@ -217,7 +217,7 @@ def _same(model: Model) -> Array:
     there = np.isfinite(model.covariance)
     finite = np.asarray(there.all(axis=0) & there.all(axis=1))
     C = np.where(np.outer(finite, finite), np.where(there, model.covariance, 0.0), 0.0)
-    # Of a parameter without a finite covariance nothing is known.
+    # A parameter without a finite covariance has no prior.
     values = parameter_vector(model.base_values, model.friction)
     C[np.diag_indices(len(C))] += np.where(finite, 0.0, (UNKNOWN * (1.0 + np.abs(values))) ** 2)
     linear = np.zeros(len(C), dtype=bool)
@@ -250,10 +250,10 @@ def _of_type(model: Model) -> Array:
 
 
 def noise_of(model: Model, measured: Sequence[ColouredNoise], step: float) -> tuple[ColouredNoise, ...]:
-    """Noise of each torque about a model: what is measured, and what its class leaves, which has a memory.
+    """Noise of each torque about a model: that of the measurement, and the class's error, which is coloured.
 
     Args:
-        model: whose ``noise_std`` is what it left where it was identified.
+        model: model with ``noise_std``, its residual in the identification.
         measured: noise of the recording itself.
         step: from one row to the next [s].
     """
@@ -278,11 +278,11 @@ def _with_memory(white: Array, slow: Array, memory: float, step: float) -> tuple
 
 def positions_known(model: Model, regression: Regression,
                     name: str) -> tuple[Regression, Array, tuple[ColouredNoise, ...]]:
-    """The regression of arm angles or of the TCP about a model, what is known of its parameters, and the noise.
+    """The regression of arm angles or of the TCP about a model, the prior of its parameters, and the noise.
 
-    An arm's angles differ from the model's by where their encoders' zeros are, by what its gears give, and by the rotor
-    that is taken for load; its TCP by where the measuring device stands, which nothing is known of, by the gears, and
-    by the geometry, which the model has from a drawing.
+    Arm angles differ from the model by encoder zeros, gear compliance, and the division of inertia between rotor and
+    load. The TCP differs by the place of the measuring device, without a prior, by gear compliance, and by geometric
+    errors.
 
     Args:
         model: that was given.

@@ -1,4 +1,4 @@
-"""What a diagnosis says of one domain: errors before and after, each cause with its numbers, and why it was named.
+"""Results of one domain: errors before and after, each cause with its numbers, and why it was named.
 
 Errors are of blocks of time that the fit did not see: each block is predicted by the fit to all others; of another
 recording, by the fit to the first one.
@@ -36,7 +36,7 @@ from ideal_robot.estimate.score import standard_error
 
 @dataclass(frozen=True)
 class DomainResult:
-    """What one domain adds to the diagnosis."""
+    """Results of one domain for the diagnosis."""
 
     channels: tuple[ChannelResult, ...]
     found: tuple[FoundEffect, ...]
@@ -51,15 +51,15 @@ class DomainResult:
 
 @dataclass(frozen=True)
 class DomainDiagnosis:
-    """A domain after its search.
+    """A domain with its finished search.
 
     Attributes:
-        best: the best set of causes, and what it was chosen from.
+        best: the best set of causes, with the candidates.
         final: its numbers.
         arguments: why each cause is in the set.
-        named: those of the set, from 0, that are large enough to matter.
+        named: indices, from 0, of the causes that are large enough to be reported.
         gone: those that the validation recording contradicts.
-        perhaps: those that are not told from nothing.
+        perhaps: those that are not distinguishable from none.
         validation: the regression of the validation recording, or None.
         given: whether the model was given, so that "before" is the model as it was.
         source: hash of the recording.
@@ -77,13 +77,13 @@ class DomainDiagnosis:
 
     @classmethod
     def of(cls, best: BestSet, validation: Regression | None, given: bool, source: str) -> DomainDiagnosis:
-        """The domain of a search that has run.
+        """The domain of a finished search.
 
-        What another recording contradicts leaves its set, and what is not told from nothing.
+        Causes that another recording contradicts, or that are not distinguishable from none, are removed.
 
         Args:
             best: the search.
-            validation: regression of another recording, whose errors are reported then; None for blocks left out.
+            validation: regression of another recording, whose errors are then reported; None for held-out blocks.
             given: whether the model was given.
             source: hash of the recording.
         """
@@ -99,7 +99,7 @@ class DomainDiagnosis:
 
     @property
     def regression(self) -> Regression:
-        """The residual and columns in which causes were looked for."""
+        """The regression in which causes were searched."""
         return self.best.regression
 
     @property
@@ -109,11 +109,11 @@ class DomainDiagnosis:
 
     @property
     def held_out_seconds(self) -> float:
-        """How much time errors are reported of."""
+        """Duration of the reported held-out data [s]."""
         return float(len(self.reported.t) * self.reported.step)
 
     def residual(self, choices: Sequence[Candidate]) -> Array:
-        """What a set leaves of what the fit did not see, at the rows that are reported ``(N, c)``."""
+        """Residual of a set on held-out data, at the reported rows ``(N, c)``."""
         if self.validation is None:
             return self.best.predicted_by_others(choices)
         return self.best.fit_of(choices).residual(self.validation)
@@ -123,19 +123,19 @@ class DomainDiagnosis:
 
     @cached_property
     def without_any(self) -> Array:
-        """What the model leaves, its parameters fitted to this recording ``(N, c)``."""
+        """Residual of the model with its parameters fitted to this recording ``(N, c)``."""
         return self.residual(())
 
     @cached_property
     def with_all(self) -> Array:
-        """What the best set leaves ``(N, c)``."""
+        """Residual of the best set ``(N, c)``."""
         return self.residual(self.choices)
 
     def result(self) -> DomainResult:
-        """Errors, effects with their numbers, and what the residual depends on."""
+        """Errors, effects with their numbers, and dependences of the residual."""
         reported = self.reported
         before, after = reported.y * reported.use if self.given else self.without_any, self._rms(self.with_all)
-        # The floor belongs to the band of the residual, and is part of it.
+        # The noise floor is that of the residual's band, and a part of the residual.
         white, usual = noise_left(self.with_all, reported.use)
         numbers = np.array([self._rms(before), self._rms(self.without_any), after,
                             np.minimum.reduce([reported.noise_floor, white, after]), self._rms(reported.measured),
@@ -183,7 +183,8 @@ class DomainDiagnosis:
         if own is not None:
             return own
         if reported.domain == SENSOR:
-            # Not where it reduces most by chance, but where it is largest against the noise.
+            # The channel in which it is largest relative to the noise, not the one with the largest reduction by
+            # chance.
             added = self.final.contributions(reported)[k]
             return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
         return int(np.argmax((without - self._rms(self.with_all)) / (without + 1e-300)))
@@ -210,7 +211,7 @@ def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Cand
         return ()
 
     def error(choices: Sequence[Candidate]) -> float:
-        # In units of what each channel varies by, for a cause may act on several.
+        # In units of each channel's variation, as a cause may act on several.
         left = rms(best.fit_of(choices).residual(validation), validation.use)
         return float(np.sum((left / np.maximum(spread(validation.measured, validation.use), 1e-300)) ** 2))
 
@@ -234,17 +235,17 @@ def _weighed(best: BestSet, instead: Sequence[Candidate], other: Candidate | Non
         instead: the set.
         other: the cause of it that stands in the place of one of the best set; None where nothing does.
     """
-    # Ten pieces of time are enough for a standard error; when a cause shows is asked of all.
+    # Ten blocks of time suffice for a standard error; the time of a cause uses all blocks.
     gain = best.better_by_block(best.choices, instead, 1 if other is None else 2)
     nats, std = best.better(best.choices, instead), standard_error(gain)
     return (WeighedSet("", 0, nats, std) if other is None else
             WeighedSet(_name(other.effect), other.joint, nats, std, other.effect.learned)), gain
 
 
-# Why a cause is in the best set.
+# The argument why a cause is in the best set.
 
 def argument(best: BestSet, own: Candidate) -> Argument:
-    """Every set with another cause, a curve, or nothing in the place of one of the best set, and what it is worse by.
+    """The sets with one of the best set's causes replaced or removed, each with its loss in score.
 
     Args:
         best: the search that has run.
@@ -252,7 +253,7 @@ def argument(best: BestSet, own: Candidate) -> Argument:
     """
     rest = [c for c in best.choices if c is not own]
     others: list[Candidate | None] = [None]
-    # What shows in several channels may sit at another joint.
+    # A cause that appears in several channels may be at another joint.
     others += [w.candidate for w in best.ranked(own, anywhere=len(best.system.groups[own.key].channels) > 1)]
     if best.learns:
         channel = best.regression.channel_of(own.joint)
@@ -310,13 +311,13 @@ def _ranked_structure(best: BestSet, residuals: Sequence[Array]) -> list[tuple[S
     return result
 
 
-# Numbers at the end of what was searched.
+# Parameters at a bound of the search.
 
 def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) -> FittedEffect:
     """The effect with limits, and no standard deviation, for parameters whose theta stands at its bound.
 
     Args:
-        fitted, candidate: its numbers, and the theta that they were found with.
+        fitted, candidate: its numbers, and their theta.
         signals: of the recording.
     """
     theta, parameters = candidate.theta, list(fitted.parameters)
@@ -329,13 +330,13 @@ def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) ->
         for k, (own, shifted) in enumerate(zip(fitted.parameters, moved, strict=True)):
             step = shifted.value - own.value
             if abs(step) > 1e-9 * max(abs(own.value), 1e-300):
-                # What lies beyond the bound lies on the other side than what lies within.
+                # The value beyond the bound is on the other side from values within.
                 parameters[k] = EffectParameter(own.name, own.value, 0.0, own.unit, "≤" if step > 0.0 else "≥")
     return replace(fitted, parameters=tuple(parameters))
 
 
 def sides(candidate: Candidate, signals: Signals) -> list[int]:
-    """Where each theta stands in the range that was searched: -1 at its lower end, 1 at its upper end, 0 between."""
+    """Place of each theta in the searched range: -1 at its lower end, 1 at its upper end, 0 between."""
     effect, theta = candidate.effect, candidate.theta
     bounds = effect.bounds(signals, candidate.joint) if effect.theta_is_physical else []
     if len(bounds) != len(theta):
@@ -349,7 +350,7 @@ def sides(candidate: Candidate, signals: Signals) -> list[int]:
 
 
 def _side(value: float, low: float, high: float) -> int:
-    # Zero below a positive bound is no small value but another form of the effect.
+    # Zero below a positive bound is not a small value but another form of the effect.
     if value == 0.0 and low > 0.0:
         return 0
     below, above = (0.01 * min(high - low, abs(bound) or high - low) for bound in (low, high))

@@ -30,14 +30,14 @@ from ideal_robot.model.parametrisation import friction_places, parameter_vector
 
 
 def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
-    """The regression of the motor torques about the model that is known, or about the nominal one."""
+    """The regression of the motor torques about the given or the nominal model."""
     start = case.given if case.given is not None else Model.nominal(case.robot)
     regression = case.torque_regression(case.recording, start)
     return Findings(start, Problem(regression), warnings=warnings)
 
 
 def baseline(case: Case, found: Findings) -> Findings:
-    """How sharply friction changes sign, and without a known model its parameters from the recording itself."""
+    """Width of friction's sign change, and without a given model the parameters from the recording itself."""
     if not case.shared:
         return found
     start, problem = found.start, found.problem
@@ -52,8 +52,8 @@ def baseline(case: Case, found: Findings) -> Findings:
 def causes_of_motor_torque(case: Case, found: Findings) -> Findings:
     """The best set of causes of the motor torques.
 
-    The columns of some causes follow from the model, which at first had to do without them; so the search is resumed
-    once with columns that follow from the model with the causes in it.
+    Some columns depend on the model, which at first lacks the causes; so the search is continued once with columns from
+    the model that has them.
     """
     first = _searched(case, found, ())
     if not first.best_set.choices or not case.shared or case.given is not None:
@@ -73,7 +73,8 @@ def _searched(case: Case, found: Findings, start: Sequence[Candidate]) -> Findin
         return replace(found, best=best)
     about = known(case.given, case.robot, found.problem.regression, case.recording)
     found, sets = replace(found, problem=found.problem.with_regression(about.regression), pushed=about.pushed), []
-    # What nothing smooth explains beside any arm of the type is noise; kicks are none.
+    # Noise is what no smooth function explains, in addition to the differences of any arm of the type; outliers are
+    # excluded.
     widest = max(hypotheses(case.given, about.differs), key=lambda h: float(np.sum(h.root**2)))
     beside = BestSet(found.problem.with_root(widest.root), [], absorbed=True)
     noise = noise_of(case.given, beside.noise, about.regression.step)
@@ -140,12 +141,12 @@ def _with_braking_friction(case: Case, found: Findings) -> Findings:
 
 
 def causes_of_other_channels(case: Case, found: Findings) -> Findings:
-    """Arm angles, TCP positions, force sensor and camera, as far as the recording has them."""
+    """The best sets of causes of arm angles, TCP positions, force sensor and camera, as far as recorded."""
     return replace(found, domains=(*found.domains, *_other_channels(case, found)))
 
 
 def sensors_alone(case: Case, found: Findings) -> Findings:
-    """Force sensor and camera, where no joint moves: the model stays as it is."""
+    """The best sets of causes of force sensor and camera, where no joint moves; the model is not changed."""
     if case.validate is not None:
         found = replace(found, validation=case.torque_regression(case.validate, found.start))
     torque, validation = _in_position_band(case, found)
@@ -158,7 +159,7 @@ def _other_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
     torque, validation = _in_position_band(case, found)
     for build in (arm_angle_regression, tool_regression):
         if found.taken_for:
-            # About a known model the torques' band is enough; above it arms swing, which no gear of a model does.
+            # With a known model the torques' band suffices; above it arms oscillate, which no gear of a model explains.
             regression = build(case.recording, case.robot, found.problem.regression, case.stiffness)
             if regression is not None:
                 regression = without_known(regression, found.start.effects)
@@ -178,7 +179,7 @@ def _other_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
             other = None if other is None or other.W.shape != regression.W.shape else other
         yield (arm := _diagnosed(case, regression, other))
         if regression.domain == ARM_POSITION:
-            # Else the tool would be early beside the delays of arm angles that were found.
+            # Without this the tool would appear early relative to the found delays of arm angles.
             late = [(choice.joint, float(own[0])) for choice, own in
                     zip(arm.choices, arm.final.coefficients, strict=True) if isinstance(choice.effect, DeadTime)]
             case = replace(case, recording=punctual(case.recording, late),
@@ -215,7 +216,7 @@ def _sensors(case: Case, torque: Regression, validation: Regression | None) -> I
     for regression, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
                                                case.stiffness):
         yield _diagnosed(case, regression, other)
-    # The curve of another recording's line would say nothing here.
+    # Another recording has another line, so its curve does not apply.
     line = line_regression(case.recording, case.robot, torque, case.stiffness)
     if line is not None:
         yield _diagnosed(case, line, None)
@@ -232,8 +233,8 @@ def _diagnosed(case: Case, regression: Regression, validation: Regression | None
     effects = [effect for effect in library() if effect.domain == regression.domain]
     sensor, only = regression.domain == SENSOR, case.only
     if regression.domain == TCP_POSITION and regression.absent:
-        # Two axes of three do not tell a length of the arm from an angle, nor a curve from either; play is one over
-        # the load.
+        # Two of three axes do not separate a length of the arm from an angle, nor a learned curve from either; backlash
+        # is a function of the load.
         only = tuple((e.name, j) for e in effects if not isinstance(e, GeometryChange) and e.name != Backlash.name
                      for j in range(case.robot.n + 1) if only is None or (e.name, j) in only)
     if sensor:
@@ -244,16 +245,16 @@ def _diagnosed(case: Case, regression: Regression, validation: Regression | None
 
 
 def errors_before_and_after(case: Case, found: Findings) -> Findings:
-    """Errors on data that the fit did not see, and what the residual depends on."""
+    """Errors on held-out data, and the dependences of the residual."""
     return replace(found, results=tuple(domain.result() for domain in found.domains))
 
 
 def moved_parameters(model: Model, change: Array, root: Array | None, W: Array) -> list[tuple[int, float]]:
-    """Parameters ``(P,)`` of a given model that this recording moves far, by what they change, with their σ.
+    """Parameters ``(P,)`` of a given model that this recording changes much, by their change, with their σ.
 
     Args:
         model, change: that was given, and by how much its parameters moved.
-        root: matrix ``R``, the parameters' covariance beforehand being ``R R'``.
+        root: matrix ``R``, the parameters' prior covariance being ``R R'``.
         W: derivative of the torques ``(N, c, P)``.
     """
     if root is None:

@@ -1,8 +1,8 @@
 """Whitened rows of a regression and the products of their columns, block by block in time.
 
 A regression has a measurement, the derivatives of the model by its parameters, and columns of causes. Each channel has
-its coloured noise; its autoregression turns rows into innovations, whose products are all that estimates and scores are
-made of. Products of a group with another are made once for each noise.
+its coloured noise; its autoregression turns rows into innovations, whose products suffice for estimates and scores.
+Products of a group with another are made once for each noise.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class System:
         y: measured minus predicted ``(N, c)``, in the channels' units.
         base: derivatives by the parameters that are always there ``(N, c, p)``.
         use: rows that are used ``(N, c)``.
-        root: matrix ``R (p, k)``, the parameters' covariance beforehand being ``R R'``, in whose units they are fitted;
-            None where nothing is known.
+        root: matrix ``R (p, k)``, the parameters' prior covariance being ``R R'``, in whose units they are fitted; None
+            without a prior.
     """
 
     def __init__(self, y: Array, base: Array, use: np.ndarray, root: Array | None = None) -> None:
@@ -77,7 +77,7 @@ class System:
 
     @property
     def blocks(self) -> int:
-        """How many blocks of time there are."""
+        """Number of blocks of time."""
         return len(self.edges) - 1
 
     @property
@@ -91,11 +91,11 @@ class System:
         return np.repeat(np.arange(self.blocks), np.diff(self.edges))
 
     def add(self, key: str, columns: Columns) -> None:
-        """Adds a group of columns, in the channels' units; one of that name is there already and stays."""
+        """Adds a group of columns, in the channels' units; a group of the same name is kept."""
         self.groups.setdefault(key, columns)
 
     def drop(self, key: str) -> None:
-        """Forgets a group."""
+        """Removes a group."""
         self.groups.pop(key, None)
         for kept in [kept for kept in self._posteriors if key in kept]:
             del self._posteriors[kept]
@@ -109,15 +109,15 @@ class System:
         self._posteriors.clear()
         self._besides.clear()
 
-    # Noise.
+    # Noise of the channels.
 
     def with_noise(self, residual: Array, explained: Sequence[Array | None] | None = None) -> None:
-        """Takes the noise of each channel from a residual.
+        """Sets the noise of each channel from a residual.
 
         Args:
             residual: ``(N, c)``, in the channels' units.
-            explained: of each channel orthonormal columns ``(N, k)`` that hold no noise; what of the residual is along
-                them is left out.
+            explained: of each channel orthonormal columns ``(N, k)`` without noise, whose directions are removed from
+                the residual.
         """
         self._forget_sums()
         for j, channel in enumerate(self.channels):
@@ -135,14 +135,14 @@ class System:
             self.channels[j] = _Channel(channel.use, noise)
 
     def take_noise(self, noise: Sequence[ColouredNoise]) -> None:
-        """Takes a noise of each channel that is known from elsewhere, unless it has it."""
+        """Sets a given noise for each channel, unless it has that already."""
         for j, (channel, own) in enumerate(zip(self.channels, noise, strict=True)):
             if channel.noise is not own:
                 self._forget_sums()
                 self.channels[j] = _Channel(channel.use, own)
 
     def with_levels(self, keys: Sequence[str]) -> Posterior:
-        """Takes each channel's level from what groups leave, and returns their posterior at these levels."""
+        """Sets each channel's noise level from the residual of groups; returns their posterior at these levels."""
         for _ in range(2):
             fitted = self.posterior(keys)
             self._forget_sums()
@@ -151,7 +151,7 @@ class System:
                 channel.weight = count / squares if count and squares > 0.0 else 0.0
         return self.posterior(keys)
 
-    # Products.
+    # Products of whitened columns.
 
     def _rows(self, j: int, key: str) -> tuple[np.ndarray, Array]:
         channel, group = self.channels[j], self.groups[key]
@@ -199,11 +199,11 @@ class System:
         return {key: slice(int(first), int(end)) for key, first, end in zip(keys, ends[:-1], ends[1:], strict=True)}
 
     def gram_of_all(self, keys: Sequence[str]) -> Array:
-        """See ``gram``. Of all blocks together ``(P + 1, P + 1)``."""
+        """Weighted products of groups with each other and with ``y``, over all blocks ``(P + 1, P + 1)``."""
         return self._assembled(keys, self.total, ())
 
     def gram(self, keys: Sequence[str]) -> Array:
-        """Weighted products of groups with each other and with ``y``, which is last ``(B, P + 1, P + 1)``."""
+        """Weighted products of groups with each other and with ``y``, the last, by blocks ``(B, P + 1, P + 1)``."""
         return self._assembled(keys, self.product, (self.blocks,))
 
     def _assembled(self, keys: Sequence[str], of: Callable[[int, str, str], tuple[np.ndarray, np.ndarray, Array]],
@@ -231,7 +231,7 @@ class System:
         return whole
 
     def full_precision(self, keys: Sequence[str], more: dict[str, Array] | None = None) -> Array:
-        """Precision of all columns beforehand ``(P, P)``: of those that are always there, and ``more`` of groups."""
+        """Prior precision of all columns ``(P, P)``: of those that are always present, and ``more`` by groups."""
         places = self.places(keys)
         P = max((place.stop for place in places.values()), default=0)
         precision = np.zeros((P, P))
@@ -243,7 +243,7 @@ class System:
         return precision
 
     def posterior(self, keys: Sequence[str], more: dict[str, Array] | None = None) -> Posterior:
-        """Coefficients of groups, fitted together; ``more`` are precisions of groups beforehand."""
+        """Posterior of coefficients of groups, fitted together; ``more`` are prior precisions of groups."""
         if more:
             return posterior(self.gram_of_all(keys), self.full_precision(keys, more))
         kept = tuple(keys)
@@ -252,7 +252,7 @@ class System:
         return self._posteriors[kept]
 
     def squares(self, keys: Sequence[str], mean: Array) -> Array:
-        """Squares of what coefficients leave in each channel, in units of its noise, unweighted ``(c,)``."""
+        """Squared residual of coefficients in each channel, in units of its noise, unweighted ``(c,)``."""
         places, v = self.places([*keys, "y"]), np.append(-mean, 1.0)
         result = np.zeros(self.c)
         for j, channel in enumerate(self.channels):
@@ -287,7 +287,7 @@ class System:
         return products[:, :-1], own, products[:, -1]
 
     def residual(self, keys: Sequence[str], mean: Array) -> Array:
-        """What coefficients ``(P,)``, or those of each row ``(N, P)``, leave of ``y``, in its units ``(N, c)``."""
+        """Residual of ``y`` with coefficients ``(P,)``, or those of each row ``(N, P)``, in its units ``(N, c)``."""
         r, places = (self.y * self.use).copy(), self.places(keys)
         for key, place in places.items():
             group, own = self.groups[key], mean[..., place]

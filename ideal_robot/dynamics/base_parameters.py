@@ -1,4 +1,4 @@
-"""Base parameters: the smallest set of linear combinations that the joint torques can show ([G] 3.1.2).
+"""Base parameters: the smallest set of linear combinations that joint torques determine ([G] 3.1.2).
 
 Found numerically from the QR decomposition of the regressor at random states, for any serial arm.
 """
@@ -30,7 +30,7 @@ thousandth is its own would be in the base for what another one shows plainly: n
 
 
 class FullLayout(NamedTuple):
-    """Where an arm's full parameters stand: ten a link, then the rotor inertias and offsets of its ``n`` joints.
+    """Positions of an arm's full parameters: ten per link, then the rotor inertias and offsets of its ``n`` joints.
 
     Attributes:
         bodies: number of links; n where no joint follows another one.
@@ -42,7 +42,7 @@ class FullLayout(NamedTuple):
 
     @classmethod
     def of(cls, model: pin.Model) -> FullLayout:
-        """That of a Pinocchio model's arm."""
+        """The layout of a Pinocchio model's arm."""
         return cls(model.njoints - 1, tuple(j - 1 for j in own_joints(model)))
 
     @property
@@ -52,25 +52,25 @@ class FullLayout(NamedTuple):
 
     @property
     def links(self) -> slice:
-        """Places of all links' parameters."""
+        """Slice of all links' parameters."""
         return slice(0, 10 * self.bodies)
 
     @property
     def rotors(self) -> slice:
-        """Places of the rotor inertias."""
+        """Slice of the rotor inertias."""
         return slice(10 * self.bodies, 10 * self.bodies + len(self.own))
 
     @property
     def offsets(self) -> slice:
-        """Places of the torque offsets."""
+        """Slice of the torque offsets."""
         return slice(10 * self.bodies + len(self.own), self.size)
 
     def link(self, i: int) -> slice:
-        """Places of a link's ten parameters, counted from 0 along the chain."""
+        """Slice of a link's ten parameters, counted from 0 along the chain."""
         return slice(10 * i, 10 * i + 10)
 
     def carried_by(self, joint: int) -> slice:
-        """Places of the ten parameters of the link that a joint, counted from 1, moves itself; 0 is the last one."""
+        """Slice of the ten parameters of the link that a joint, counted from 1, moves; 0 is the last one."""
         return self.link(self.own[joint - 1] if joint > 0 else self.bodies - 1)
 
 
@@ -79,8 +79,8 @@ class BaseParameters:
     """Which parameters are in the base and how the others are grouped into them.
 
     Full parameters are, in this order: ten a link (``m_1 … Izz_n``), the rotor inertias reflected to the joint side
-    ``Ia_1 … Ia_n`` and the constant torque offsets ``offset_1 … offset_n``; ``p = 12 n`` in all. Links that follow
-    joint 2 are called ``m_2b``, ``m_2c`` and so on, and are ten more each.
+    ``Ia_1 … Ia_n`` and the constant torque offsets ``offset_1 … offset_n``; ``p = 12 n`` in all. Links that are coupled
+    to joint 2 have the names ``m_2b``, ``m_2c`` and so on, ten parameters each.
 
     Attributes:
         full_names: names of the full parameters.
@@ -88,7 +88,7 @@ class BaseParameters:
         independent: indices of the ``b`` columns that stay, in base order.
         grouping: matrix ``(b, p)`` from full to base parameters.
         gravitational: mask ``(b,)``: those that occur in g(q) are p_g, the others p_m ([G] (6)).
-        layout: where the full parameters stand.
+        layout: positions of the full parameters.
     """
 
     full_names: tuple[str, ...]
@@ -105,7 +105,7 @@ class BaseParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the base parameters: that of the parameter the others are grouped into."""
+        """Names of the base parameters: each is that of the parameter into which others are grouped."""
         return tuple(self.full_names[i] for i in self.independent)
 
     @property
@@ -119,7 +119,7 @@ class BaseParameters:
         return tuple(int(name.rsplit("_", 1)[1].rstrip(FOLLOWING)) for name in self.names)
 
     def words(self) -> tuple[str, ...]:
-        """Each base parameter as the sum it stands for, e.g. ``Izz_1 + Ia_1 + Iyy_2 + 0.09·m_2``."""
+        """Each base parameter as a sum of full ones, e.g. ``Izz_1 + Ia_1 + Iyy_2 + 0.09·m_2``."""
         return tuple(" ".join(self._terms(row)) for row in self.grouping)
 
     def _terms(self, row: Array) -> list[str]:
@@ -148,7 +148,7 @@ def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: S
     Args:
         model: kinematics; its inertias do not matter.
         q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
-        columns: those wanted of the ``p``, in their order; zeros for any beyond; all if None.
+        columns: indices of the wanted columns, in their order; zeros for any beyond ``p``; all if None.
 
     Raises:
         InputError: the model branches, or a joint has more than one degree of freedom.
@@ -163,7 +163,7 @@ def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: S
 
 
 def link_labels(model: pin.Model) -> tuple[str, ...]:
-    """What each link is called by the joint that moves it: "2", and "2b", "2c" of those that follow joint 2."""
+    """Labels of the links by the joints that move them: "2", and "2b", "2c" for links coupled to joint 2."""
     labels, followers = [], [0] * model.nv
     motions = joint_motions(model)
     for joint, own in zip(motions.coordinate, motions.own, strict=True):
@@ -222,7 +222,7 @@ def _independent(W: Array, columns: Sequence[int]) -> list[int]:
     # W = Q R: a column whose diagonal element of R vanishes depends on the ones before it.
     R = linalg.qr(W, mode="economic")[1]
     clear = np.abs(np.diag(R)) > _CLEAR
-    # What those leave of the others, the largest first.
+    # Part of the other columns that is independent of those, the largest first.
     Q = linalg.qr(W[:, clear], mode="economic")[0]
     rest = W[:, ~clear] - Q @ (Q.T @ W[:, ~clear])
     added: list[int] = []

@@ -29,7 +29,7 @@ LINK, BODY = 0.10, 0.05
 
 @dataclass(frozen=True)
 class Consistency:
-    """Physically possible full parameters and how they compare with the identified base parameters.
+    """Physically possible full parameters and their agreement with the identified base parameters.
 
     Attributes:
         full: possible parameters ``(p,)``: links, rotor inertias, offsets.
@@ -57,15 +57,16 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     Args:
         base: grouping of the parameters.
         values, covariance: identified base parameters ``(b,)``, and theirs ``(b, b)``; closeness is measured in it.
-        nominal: full parameters ``(p,)``, physically possible, that what cannot be seen keeps near to.
-        rotors: what rotor inertias may differ by from theirs ``(n,)`` [kg m²]; the size of their links' if None.
+        nominal: full parameters ``(p,)``, physically possible, to which undetermined parameters stay near.
+        rotors: standard deviations of the rotor inertias from the nominal ones ``(n,)`` [kg m²]; the size of their
+            links' if None.
 
     Raises:
         IdealRobotError: the solver finds no solution, or the covariance is none.
     """
     layout = base.layout
     scale = parameter_scales(nominal, layout)
-    # Whitened distance to the base parameters; a floor keeps parameters of tiny variance from spoiling the numbers.
+    # Whitened distance to the base parameters; a floor on the variances keeps the problem well conditioned.
     std = np.sqrt(np.diag(covariance))
     size = np.maximum(np.abs(values), 1e-3 * np.max(np.abs(values)))
     floor = np.where(std > 0, np.maximum(std, 1e-4 * size), 1e-2 * size)
@@ -126,7 +127,7 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, layout: FullLayout)
     cones.append(clarabel.NonnegativeConeT(n))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    # The term that keeps parameters without data at their nominal values is small: the gap has to be smaller still.
+    # The term for undetermined parameters is small, so the solver's gap has to be smaller still.
     settings.tol_gap_abs = settings.tol_gap_rel = 1e-13
     G = np.vstack(rows)
     solver = clarabel.DefaultSolver(P, q, sparse.csc_matrix(G * size), np.concatenate(rhs) - G @ start, cones, settings)
@@ -134,8 +135,8 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, layout: FullLayout)
         with kept_words():
             result = solver.solve()
     except BaseException as error:
-        # Where eigenvalues of an iterate do not converge, Clarabel ends in a panic of Rust: no Exception, and of a
-        # class that cannot be imported.
+        # If the eigenvalues of an iterate do not converge, Clarabel raises a panic of Rust, whose class cannot be
+        # imported and is no Exception.
         if type(error).__name__ != "PanicException":
             raise
         raise _none_found(str(error)) from None
@@ -163,7 +164,7 @@ def parameter_scales(nominal: Array, layout: FullLayout) -> Array:
         m = max(abs(link[0]), 0.02 * mass)
         length = max(0.05, float(np.sqrt(np.trace(pseudo_inertia(link)[:3, :3]) / m)))
         scale[layout.link(i)] = [m, *[m * length] * 3, *[m * length**2] * 6]
-    # A joint's rotor is compared with the moments of inertia of the link that it moves itself.
+    # A joint's rotor is compared with the moments of inertia of its own link.
     scale[layout.rotors] = [scale[10 * i + 4] for i in layout.own]
     return scale
 

@@ -1,15 +1,15 @@
 r"""Inverse kinematics of a serial arm, compiled: one Newton step, and whole horizons of poses.
 
-With the pose error :math:`e = \log(T(q)^{-1} T_d)`, the Jacobian J in the tool frame and w a change that is wished
-besides, one step is
+With the pose error :math:`e = \log(T(q)^{-1} T_d)`, the Jacobian J in the tool frame and w a desired change in the null
+space, one step is
 
 .. math:: q \leftarrow q + w + J^T (J J^T + \Lambda)^{-1} (e - J w)
 
-for any number of joints: the change nearest to w that removes the error, but for what :math:`\Lambda`, the variances
-of what may be left of it, lets stand. Of six joints that is Newton's step. More come near to wanted joint angles, so
-that the solution is a function of the pose and the path is as smooth as what is wanted along it. Of fewer the place is
-kept, the tool axis as far as the arm can, and the rotation about that axis is what is left. With it paths are planned
-(``planning.path.kinematics``) and an arm is led that is not as drawn (``ideal_robot.feedforward.corrected_arm``).
+for any number of joints: the change nearest to w that removes the error, but for what :math:`\Lambda`, the variances of
+permitted residuals, lets remain. With six joints that is Newton's step. Redundant arms tend to given joint angles, so
+that the solution is a function of the pose and the path is smooth. Arms with fewer joints keep the position, the tool
+axis as far as possible, and give up the rotation about that axis. It plans paths (``planning.path.kinematics``) and
+corrects paths of arms with geometric errors (``ideal_robot.feedforward.corrected_arm``).
 
 Pinocchio is the reference (a test compares them); this is for the control cycle, which solves a whole horizon: a call
 per pose costs more than its arithmetic.
@@ -38,7 +38,7 @@ class Tool(NamedTuple):
 
     Attributes:
         chain: of the arm.
-        joints: that carry the tool, the first ones of the chain.
+        joints: joints before the tool, the first ones of the chain.
         R, p: the tool's rotation in the last one's frame ``(3, 3)``, and where it is there ``(3,)`` [m].
     """
 
@@ -106,7 +106,7 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
     R, p = frames_of(chain)
     joint_frames(chain, q, R, p)
     J[:] = 0.0
-    # Number by number: an assignment of whole arrays takes seconds to compile.
+    # Element by element, as assignments of whole arrays take seconds to compile.
     for r in range(3):
         T_p[r] = tool.p[r]
         for c in range(3):
@@ -141,11 +141,11 @@ def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: 
 
     Args:
         tool: kinematics.
-        target_R: rotation wanted ``(3, 3)``.
-        target_p: place wanted ``(3,)`` [m].
+        target_R: desired rotation ``(3, 3)``.
+        target_p: desired position ``(3,)`` [m].
         q: joint angles ``(n,)`` [rad].
-        wanted: what more than six joints come as near to as the pose lets them ``(n,)`` [rad].
-        slack: variance of what may be left of the place [m²], Λ: above 0, so that no posture is without a step.
+        wanted: angles that a redundant arm tends to ``(n,)`` [rad].
+        slack: variance Λ of the permitted position residual [m²]: above 0, so that a step exists in every posture.
         error: of the pose before the step ``(6,)`` [m, rad], written to.
     """
     T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
@@ -181,17 +181,17 @@ def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: 
 @jit()
 def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Array, tolerance: float, most: int
             ) -> int:
-    """Nearly right joint angles ``q (N, n)`` of poses are made right in place; how many of them, from the first on.
+    """Refines approximate joint angles ``q (N, n)`` of poses in place; returns how many are done, from the first on.
 
     A pose is done with the step whose pose error before it, squared, was below ``tolerance``; of fewer than six joints,
     which cannot remove all of it, with one that changes them by a tenth of that.
 
     Args:
         tool: kinematics.
-        targets_R: rotations wanted ``(N, 3, 3)``.
-        targets_p: places wanted ``(N, 3)`` [m].
+        targets_R: desired rotations ``(N, 3, 3)``.
+        targets_p: desired positions ``(N, 3)`` [m].
         q: ``(N, n)`` [rad], changed.
-        wanted: what more than six joints come near to in each pose ``(N, n)`` [rad].
+        wanted: angles that a redundant arm tends to in each pose ``(N, n)`` [rad].
         tolerance: see above [m², rad²].
         most: steps of a pose at most.
     """

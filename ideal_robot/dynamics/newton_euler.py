@@ -21,20 +21,20 @@ from ideal_robot.robots.joints import joint_motions
 class Chain(NamedTuple):
     """Kinematics and inertias of a serial arm as plain arrays: ``b`` joints in their order, ``n`` of them free.
 
-    The others follow one of those (``ideal_robot.robots.joints``); where none does, b is n.
+    The others are coupled to one of those (``ideal_robot.robots.joints``); where none does, b is n.
 
     Attributes:
         rotation, position: placement of each joint in the frame of the joint before it, ``(b, 3, 3)`` and ``(b, 3)``.
         axis: joint axis in the joint's frame ``(b, 3)``.
         prismatic: 1 where the joint slides along its axis, 0 where it turns about it ``(b,)``.
-        coordinate: that moves each joint, from 0 ``(b,)``.
+        coordinate: index, from 0, of the coordinate that moves each joint ``(b,)``.
         ratio, offset: each joint's angle is ratio times its coordinate plus offset ``(b,)`` [-, rad or m].
-        own: the joint, from 0, whose angle each coordinate is ``(n,)``.
+        own: index, from 0, of the joint whose angle is each coordinate ``(n,)``.
         mass, com, inertia: of the body behind each joint: [kg] ``(b,)``, centre of mass in the joint's frame ``(b, 3)``
             [m], inertia about it ``(b, 3, 3)`` [kg m²].
         gravity: in the base frame ``(3,)`` [m/s²].
-        armature: inertia that resists a coordinate's own acceleration alone ``(n,)`` [kg m², kg]; negative where a
-            share of the bodies' is counted to the rotor.
+        armature: inertia that resists a coordinate's own acceleration alone ``(n,)`` [kg m², kg]; negative where a part
+            of the bodies' inertia is assigned to the rotor.
     """
 
     rotation: Array
@@ -74,7 +74,7 @@ def chain_of(model: pin.Model) -> Chain:
 
 @jit()
 def point_mass(chain: Chain, place: Array) -> Chain:
-    """The same kinematics with nothing but 1 kg at ``place (3,)`` [m] in the last joint's frame."""
+    """The same kinematics with a single mass of 1 kg at ``place (3,)`` [m] in the last joint's frame."""
     b = len(chain.mass)
     mass, com = np.zeros(b), np.zeros((b, 3))
     mass[b - 1], com[b - 1] = 1.0, place
@@ -97,13 +97,13 @@ def _turned_back(R: Array, v: Array, out: Array) -> None:
 
 @jit()
 def frames_of(chain: Chain) -> tuple[Array, Array]:
-    """Room for what ``joint_frames`` writes: ``(b, 3, 3)`` and ``(b, 3)``."""
+    """Arrays for the results of ``joint_frames``: ``(b, 3, 3)`` and ``(b, 3)``."""
     return np.empty((len(chain.mass), 3, 3)), np.empty((len(chain.mass), 3))
 
 
 @jit()
 def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
-    """Rotation and position of each joint's frame in the one before it.
+    """Writes rotation and position of each joint's frame in the one before it to ``R`` and ``p``.
 
     Args:
         chain: the arm's rigid bodies.
@@ -137,12 +137,12 @@ def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
 
 @jit()
 def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
-    """Where the joints are in the base frame ``(N, b, 3)``, and behind them a point of the arm: ``(N, b + 1, 3)`` [m].
+    """Places of the joints in the base frame ``(N, b, 3)``, and after them a point of the arm: ``(N, b + 1, 3)`` [m].
 
     Args:
         chain: kinematics.
         q: joint positions ``(N, n)`` [rad].
-        joint: that carries the point, counted from 1; 0 for the base.
+        joint: number of the joint that moves the point, from 1; 0 for the base.
         point: in that joint's frame ``(3,)`` [m].
     """
     N, b = len(q), len(chain.mass)
@@ -172,7 +172,7 @@ def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
 def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, force: Array,
                         moment: Array) -> None:
     """Writes the force on each body and the moment about its frame's origin, from the base to the last link."""
-    # Numbers by themselves rather than vectors: the compiler keeps them in registers.
+    # Scalars instead of vectors, so that the compiler keeps them in registers.
     w0, w1, w2, d0, d1, d2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a0, a1, a2 = -gravity * chain.gravity[0], -gravity * chain.gravity[1], -gravity * chain.gravity[2]
     for i in range(len(force)):
@@ -243,7 +243,7 @@ def _torques_of_wrenches(chain: Chain, R: Array, p: Array, qdd: Array, force: Ar
 
 @jit()
 def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, tau: Array) -> None:
-    """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau``.
+    """Writes the joint torques at the posture with the frames ``R``, ``p`` to ``tau`` ([G] (5)).
 
     Args:
         chain: the arm's rigid bodies.
@@ -302,7 +302,7 @@ def gravity_across(chain: Chain, q: Array) -> Array:
 
 @jit()
 def mass_matrix(chain: Chain, R: Array, p: Array, M: Array) -> None:
-    """Mass matrix at the posture whose frames are ``R``, ``p``, column by column.
+    """Writes the mass matrix at the posture with the frames ``R``, ``p`` to ``M``, column by column.
 
     Args:
         chain: the arm's rigid bodies.

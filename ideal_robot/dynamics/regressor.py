@@ -73,17 +73,17 @@ def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, re
     """Adds the columns of the regressor to ``result (n, P, N)``: samples last, as filters along time want them.
 
     The torque about joint j's axis z that body i's wrench (f, m) makes is zᵀm + vᵀf, with v = z × (way from j to i); a
-    sliding joint has z = 0 and its axis for v. One that follows a coordinate by a ratio has its axis times the ratio,
-    and what it makes is added to that coordinate's.
+    prismatic joint has z = 0 and its axis for v. A joint coupled to a coordinate by a ratio has its axis times the
+    ratio, and its torque is added to that coordinate's.
 
     Args:
         chain: kinematics and gravity; its inertias do not matter.
         q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
-        place: where each of the ``10 b`` columns goes, -1 for those that are not wanted.
-        result: added to; what belongs to bodies before a joint stays as it is.
+        place: where each of the ``10 b`` columns goes, -1 for unused columns.
+        result: array to which the columns are added.
     """
     N, b = len(q), len(chain.mass)
-    # Where no joint follows another one nothing is to be added up, which takes a fifth of the time.
+    # Without coupled joints nothing has to be added up, which saves a fifth of the time.
     alone = b == q.shape[1]
     R, p = frames_of(chain)
     w, wd, a = np.empty(3), np.empty(3), np.empty(3)
@@ -137,7 +137,7 @@ def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequen
     Args:
         model: the kinematics, a serial chain; its inertias do not matter.
         q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²; m for prismatic].
-        columns: those wanted of the ``10 b``, zeros for any beyond; all if None.
+        columns: indices of the wanted columns; zeros for any beyond ``10 b``; all if None.
 
     Returns:
         ``A`` of shape ``(N, n, 10 b)``, of ``b`` links (``n`` where no joint follows another one), so that
@@ -166,20 +166,20 @@ def link_parameters(model: pin.Model) -> Array:
 def with_link_parameters(model: pin.Model, parameters: Array) -> pin.Model:
     """A copy of the model with other inertias ``(10 b,)``.
 
-    They need not be physically possible: ``pin.rnea`` is linear in them and asks for nothing more.
+    They need not be physically possible: ``pin.rnea`` is linear in them whatever they are.
     """
     copy = model.copy()
     for i in range(1, model.njoints):
         m, *rest = parameters[10 * (i - 1) : 10 * i]
-        # Pinocchio keeps mass, centre of mass and central inertia; a massless link may still carry first moments
-        # in a linear solution, so the smallest mass that lets them be written as m·c stands in for zero.
+        # Pinocchio stores mass, centre of mass and central inertia; a massless link may still have first moments in a
+        # linear solution, so zero is replaced by the smallest mass for which they can be written as m·c.
         mass = m if abs(m) > 1e-9 else 1e-9
         first = np.array(rest[:3])
         c = first / mass
         ixx, ixy, iyy, ixz, iyz, izz = rest[3:]
         about_origin = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
         skew = pin.skew(c)
-        # The constructor refuses what cannot be a body; the setters do not.
+        # The constructor rejects impossible bodies; the setters do not.
         body = pin.Inertia.Identity()
         central = about_origin + mass * skew @ skew
         body.mass, body.lever, body.inertia = mass, c, 0.5 * (central + central.T)

@@ -1,4 +1,4 @@
-"""What a force at the tool asks of the joints."""
+"""Joint torques of a force at the tool."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ideal_robot.signals.sampling import resampled
 
 
 def torques_of_tool_force(robot: Robot, q: Array) -> Array:
-    """Torques of 1 N that pushes the tool along each axis of its frame ``(N, 3, n)`` [N m; N where a joint slides].
+    """Joint torques of a force of 1 N on the tool along each axis of its frame ``(N, 3, n)`` [N m; N if prismatic].
 
     Args:
         robot: the arm.
@@ -27,7 +27,7 @@ def torques_of_tool_force(robot: Robot, q: Array) -> Array:
 
 
 def felt_at_tool(recording: Recording, t: Array) -> Array | None:
-    """What a force sensor at the tool shows at given instants ``(N, 3)`` [N]; None without one.
+    """Force on the tool by a force sensor at given instants ``(N, 3)`` [N]; None without a sensor.
 
     Args:
         recording: with ``fx``, ``fy``, ``fz``, or without.

@@ -1,4 +1,4 @@
-"""Play in the gear, in three forms: crossed with the load, crossed with the motion, and a crossing that takes time."""
+"""Gear backlash in three forms: crossed with the load, crossed with the motion, and crossed over a finite time."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _SHIFTS = (0.0, -0.15, 0.15)
 
 
 class Backlash(GearEffect):
-    """The arm lies on one side of the gap or the other: ``q_a = q - b tanh(tau_load/w)``.
+    """Backlash by load: the arm lies on one side of the gap or the other, ``q_a = q - b tanh(tau_load/w)``.
 
-    As a soft gear, but what it bends by does not grow with the load: it jumps where the load changes sign. theta is
-    ``w``, the load over which it crosses; the coefficient is half the gap ``b``.
+    Unlike a soft gear's, its deflection does not grow with the load but jumps where the load changes sign. theta is
+    ``w``, the load over which the gap is crossed; the coefficient is half the gap ``b``.
     """
 
     name = "backlash"
@@ -35,35 +35,38 @@ class Backlash(GearEffect):
     """A gap is crossed at once: what the position filter makes of that is not taken for load, up to half as far."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: the load has to change sign."""
+        """Whether the signals can show the effect: the load has to change sign; see ``Effect.usable``."""
         return super().usable(signals, joint) and _turns(signals.load[:, joint - 1])
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: fractions of the load; torques show gaps that are crossed slowly, too."""
+        """Start values of theta: fractions of the load; torques show gaps that are crossed slowly, too."""
         factors = (0.05, 0.15, 0.4) if self.domain == MOTOR_TORQUE else (0.05, 0.15)
         return [(_spread(signals, joint) * factor,) for factor in factors]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: sharper than the load itself."""
+        """Bounds of theta: the gap is crossed within the range of the load; see ``Effect.bounds``."""
         low, high = (0.02, 0.6) if self.domain == MOTOR_TORQUE else (0.01, 0.4)
         size = _spread(signals, joint)
         return [(low * size, high * size)]
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``GearEffect.bend``."""
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m]; see ``GearEffect.bend``."""
         return np.asarray(np.tanh(self.load(signals, joint) / theta[0]))
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The load pushes the arm away; what torques show is a gap, not a range of motion."""
+        """Whether the coefficients are possible: the load pushes the arm away; in torques the gap is small.
+
+        See ``Effect.plausible``.
+        """
         return bool(coefficients[0] > 0.0 and (self.domain != MOTOR_TORQUE or coefficients[0] < 0.02))
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The play, crossed where the load changes sign."""
+        """The change of the loop: backlash that is crossed where the load changes sign; see ``Effect.loop_change``."""
         return LoopChange(half_gap=coefficients[0], gap_load=theta[0])
 
 
 class BacklashByMotion(GearEffect):
-    """The motor turns back a little before the arm does: ``q_a`` follows the play operator of half a gap.
+    """Backlash by motion: at a reversal the motor crosses the gap before the arm moves; a play operator of half a gap.
 
     The coefficient is a share: one of a pure play.
     """
@@ -78,33 +81,33 @@ class BacklashByMotion(GearEffect):
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: small fractions of the range that was driven."""
+        """Start values of theta: small fractions of the range that was driven; see ``Effect.starts``."""
         return [(signals.span(joint) * factor,) for factor in (2e-5, 1e-4, 5e-4, 2e-3)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: a gap, not a range of motion."""
+        """Bounds of theta: a gap, not a range of motion; see ``Effect.bounds``."""
         return [(5e-6 * signals.span(joint), 0.01 * signals.span(joint))]
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``GearEffect.bend``."""
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m]; see ``GearEffect.bend``."""
         q = np.ascontiguousarray(signals.q[:, joint - 1])
         return np.asarray(q - play(q, theta[0]))
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The play, crossed where the motion turns; the coefficient is a share of it."""
+        """The change of the loop: backlash that is crossed at reversals; the coefficient is a share."""
         return LoopChange(half_gap=coefficients[0] * theta[0])
 
 
 class BacklashInFlight(GearEffect):
-    """Seen in the motor torque: between the flanks the motor carries no load, and gets all of it at once at the end.
+    """Backlash in the motor torque: no load between the flanks, then all of it at once in the impact.
 
         M d²x/dt² = tau_load  while |x| < b,   q_a = q - x,
 
     ``M`` the inertia behind the gear and ``b`` half the gap: the load is missing from where it changes sign until the
     gap is crossed, and its impulse comes back in the impact. A crossing takes ``(12 b M/(d tau_load/dt))^(1/3)``, a
-    tenth of a second for milliradians; ``Backlash`` is the limit in which that is no time at all. Where a joint turns
-    little, weight and a constant torque of the motor are one to a fit, so the load changes sign elsewhere than the
-    model has it: theta holds that as well. The coefficient is one where the inertia is right.
+    tenth of a second for milliradians; ``Backlash`` is the limit of an instantaneous crossing. If a joint turns little,
+    a fit cannot separate weight from a constant motor torque, so the load may change sign elsewhere than in the model:
+    theta has this constant as well. The coefficient is one if the inertia is right.
     """
 
     name = Backlash.name
@@ -112,7 +115,7 @@ class BacklashInFlight(GearEffect):
     theta_units = ("rad", "N m")
     coefficient_names = ("share",)
     coefficient_units = ("1",)
-    # The inertia that is set free is that behind the gear, as well as it is known.
+    # The inertia in the free motion is that behind the gear, within the model's accuracy.
     within = (0.4, 2.5)
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002: free motion between the flanks"
     nowhere = "how long the gap takes to be crossed depends on the motion"
@@ -120,7 +123,7 @@ class BacklashInFlight(GearEffect):
     """The motor's own jumps at the impacts are not taken for load."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``.
+        """Whether the needed signals exist and the joint moves enough to show the effect; see ``Effect.usable``.
 
         There has to be an inertia behind the gear, and a load that changes sign for one of the starts.
         """
@@ -131,9 +134,9 @@ class BacklashInFlight(GearEffect):
         return any(_turns(load + shift) for _, shift in self.starts(signals, joint))
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``.
+        """Start values of theta within the physical bounds; see ``Effect.starts``.
 
-        Gaps by the time they take to cross, loads besides around none and around all of the constant torque.
+        Gaps by their crossing times, constant loads near zero and near the whole constant torque.
         """
         load = self._crossing_load(signals, joint)
         size = float(np.std(load)) + 1e-12
@@ -141,7 +144,7 @@ class BacklashInFlight(GearEffect):
         if abs(_constant(signals, joint)) > 0.1 * size:
             shifts.append(-_constant(signals, joint))
         inertia = abs(float(np.mean(signals.inertia_behind(joint)))) + 1e-12
-        # Where none makes the load change sign, as of a joint that rests, they are starts of another motion.
+        # If none makes the load change sign, as for a joint at rest, all are kept as starts for another motion.
         turning = [shift for shift in shifts if _turns(load + shift)] or shifts
         rates = np.abs(signals.rate(load))
         starts: list[Theta] = []
@@ -153,15 +156,15 @@ class BacklashInFlight(GearEffect):
         return starts
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``.
+        """Physical bounds of each theta; see ``Effect.bounds``.
 
-        Bounds of the gap [rad or m] and of a constant load besides, which is no larger than the loads there are.
+        Bounds of the gap [rad or m] and of the constant load, which is at most as large as the loads of the motion.
         """
         most = 3.0 * float(np.std(signals.load[:, joint - 1])) + 2.0 * abs(_constant(signals, joint)) + 1e-12
         return [(1e-5, 0.02), (-most, most)]
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``GearEffect.bend``."""
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m]; see ``GearEffect.bend``."""
         load = self._crossing_load(signals, joint) + theta[1]
         return np.asarray(crossed(load / signals.inertia_behind(joint), signals.dt, theta[0]))
 
@@ -170,7 +173,10 @@ class BacklashInFlight(GearEffect):
         return self.load(signals, joint) + _constant(signals, joint)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. Half the gap, as far as the inertia behind the gear is right."""
+        """The numbers to report: half the gap, as far as the inertia behind the gear is right.
+
+        See ``Effect.parameters``.
+        """
         share, sigma = float(coefficients[0]), theta_std[0] if theta_std else 0.0
         return [EffectParameter("half gap", share * theta[0],
                                 float(np.hypot(share * sigma, theta[0] * float(std[0]))), "rad")]
@@ -193,9 +199,9 @@ def play(q: Array, half_gap: float) -> Array:
 
 @jit()
 def crossed(acceleration: Array, dt: float, half_gap: float) -> Array:
-    """Twist in a gap: at a flank while the load presses there, in free flight between, at rest where it hits the other.
+    """Motor less arm angle ``(N,)`` [rad] in a gap: at a flank under load, in free flight, at rest after impact.
 
-    Returns motor less arm angle ``(N,)`` [rad], within plus and minus half a gap.
+    The result is within plus and minus half a gap.
 
     Args:
         acceleration: of the motor relative to the unloaded arm, ``tau_load/M`` ``(N,)`` [rad/s²].

@@ -1,4 +1,4 @@
-"""The seam of all effects: one physical cause of a residual, its regressor, and how it acts.
+"""The interface of all effects: one physical cause of a residual, its regressor, and its action in the loop.
 
 An effect is *separable*: given its nonlinear parameters theta, what it adds to the channels it acts on is linear in
 its coefficients,
@@ -35,7 +35,7 @@ class Domain:
 
     Attributes:
         name, prefix: key, and first part of its channels' names: ``tau`` for ``tau_1 … tau_n``.
-        whole: what an effect belongs to that belongs to no joint, in words.
+        whole: what an effect of no single joint belongs to, in words.
     """
 
     name: str
@@ -51,7 +51,7 @@ DOMAINS = (MOTOR_TORQUE, ARM_POSITION, TCP_POSITION, SENSOR)
 
 
 def domain_of(prefix: str) -> Domain:
-    """The domain whose channels' names begin like that; raises InputError where there is none."""
+    """The domain whose channels' names begin with a prefix; raises InputError where there is none."""
     for domain in DOMAINS:
         if domain.prefix == prefix:
             return domain
@@ -70,10 +70,10 @@ class EffectParameter:
     """A physical number of a fitted effect.
 
     Attributes:
-        name, unit: what it is.
+        name, unit: name and unit of the number.
         value, std: estimate and its standard deviation.
-        limit: ``≤`` or ``≥`` where the value stands at the end of what was searched, so that it says no more than
-            that, and ``std`` nothing; empty otherwise.
+        limit: ``≤`` or ``≥`` where the value is at a bound of the search, so that it is only a bound and ``std`` has no
+            meaning; empty otherwise.
     """
 
     name: str
@@ -84,7 +84,7 @@ class EffectParameter:
 
     @property
     def text(self) -> str:
-        """The parameter for people, with its uncertainty, both to what the uncertainty allows."""
+        """The parameter with its uncertainty for people, rounded to the uncertainty."""
         if self.limit:
             return f"{self.name} {self.limit} {self.value:.3g} {self.unit}"
         if not (np.isfinite(self.std) and self.std > 0):
@@ -105,9 +105,9 @@ class EffectParameter:
 
 
 class Effect(ABC):
-    """One physical cause of a residual, and all there is to say about it.
+    """One physical cause of a residual: its regressor, its bounds and its action in the loop.
 
-    A cause is a class like this, in the file of its family, and a line for each channel it shows in in
+    A cause is a subclass in the file of its family, and a line for each channel that shows it in
     ``ideal_robot/effects/registry.py`` (or a call of ``register``, or an entry point, from a package outside).
 
     Attributes:
@@ -118,15 +118,15 @@ class Effect(ABC):
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
             effect can only be seen against a model identified before.
-        prior: logarithm of how much likelier it is beforehand than another cause, in nats.
-        usual: by how much more than the direction of another cause a model class errs in its direction, as every arm
-            has something of it that no model says: how friction goes through standstill, gears that give.
+        prior: logarithm of its prior odds against another cause, in nats.
+        usual: factor on the model error in its direction, as every arm has some of it unmodelled, such as friction near
+            standstill and compliant gears.
         learned: whether it is a curve without a physical cause.
         within: open interval in which physics has the first coefficient.
         changes: field of ``LoopChange`` that its coefficient is, or all of them together; empty for ``loop_change``.
         nowhere: why it does not act in the loop; empty where it does.
-        discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
-            apart. It is enough that one of the two says it.
+        discriminating_motion: names of causes that are easily mistaken for this one, with the motion that distinguishes
+            them; one of the two causes has to list it.
         source: where the equation comes from.
     """
 
@@ -149,7 +149,7 @@ class Effect(ABC):
 
     @classmethod
     def seen_in(cls, prefix: str) -> Self:
-        """The effect as it shows in the channels of a prefix, where a class is of several."""
+        """The effect for the channels of a prefix, where a class serves several."""
         effect = cls()
         if effect.channel_prefix != prefix:
             effect.prefix, effect.domain = prefix, domain_of(prefix.partition("_")[0])
@@ -157,27 +157,27 @@ class Effect(ABC):
 
     @property
     def channel_prefix(self) -> str:
-        """First part of the names of the channels it is reported in."""
+        """First part of the names of the channels in which it is reported."""
         return self.prefix or self.domain.prefix
 
     @property
     def key(self) -> str:
-        """Name and place, by which the forms of one cause differ."""
+        """Name and place, which distinguish the forms of one cause."""
         return f"{self.name}/{self.channel_prefix}"
 
     @property
     def theta_is_physical(self) -> bool:
-        """Whether theta is a number with an uncertainty, and does not only serve to compute the coefficients."""
+        """Whether theta is a physical number with an uncertainty, not only a means to compute the coefficients."""
         return type(self).consistent_theta is Effect.consistent_theta
 
     @property
     def scanned(self) -> bool:
-        """Whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it."""
+        """Whether theta is searched in the residual (``starts_from_residual``); a joint may have several."""
         return type(self).starts_from_residual is not Effect.starts_from_residual
 
     @property
     def at_motor(self) -> bool:
-        """Whether it is a torque at the motor, neither a delay of its positions nor a motion behind the gear."""
+        """Whether it is a torque at the motor, not a delay of the positions or a motion behind the gear."""
         return self.channel_prefix == MOTOR_TORQUE.prefix
 
     def channel(self, joint: int) -> str:
@@ -185,7 +185,7 @@ class Effect(ABC):
         return f"{self.channel_prefix}_{joint}" if joint else self.channel_prefix
 
     def complete(self, theta: Theta) -> bool:
-        """Whether that is all of theta, as a model file has it."""
+        """Whether ``theta`` is complete, as from a model file of this version."""
         return len(theta) == len(self.theta_names)
 
     def joints(self, signals: Signals) -> Iterator[int]:
@@ -193,21 +193,22 @@ class Effect(ABC):
         yield from range(1, signals.n + 1)
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Whether the signals it needs are there and the joint moves enough for it to show; a TCP needs the frames."""
+        """Whether the needed signals exist and the joint moves enough to show the effect; a TCP needs the frames."""
         return self.domain != TCP_POSITION or signals.frames is not None
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Values of theta to start from, within the physical bounds; one empty tuple where there is no theta."""
+        """Start values of theta within the physical bounds; one empty tuple for an effect without theta."""
         return [()]
 
     def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
                              use: np.ndarray) -> tuple[list[Theta], int]:
-        """Values of theta to start from that a residual suggests, and among how many they were chosen; if ``scanned``.
+        """Start values of theta that a residual suggests, and the number of candidates among them; if ``scanned``.
 
         Args:
             signals: at the rows of the residual, of ``N`` samples.
             joint: from 1.
-            residual, use: of all channels of the domain ``(N, c)``, in their units, and the samples of it that count.
+            residual, use: of all channels of the domain ``(N, c)``, in their units, and the samples of it that are
+                used.
         """
         starts = self.starts(signals, joint)
         return starts, len(starts)
@@ -217,10 +218,9 @@ class Effect(ABC):
         return []
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
-        """Bounds within which theta is refined from a start; empty where nothing is.
+        """Bounds within which theta is refined from a start; empty where it is not refined.
 
-        By default the physical ones; a single parameter within a factor of three, and from zero, which has no scale,
-        not at all.
+        By default the physical bounds; for a single parameter a factor of three, for a start of zero none.
 
         Args:
             signals, joint, theta: as of ``columns``, theta being the start.
@@ -237,7 +237,7 @@ class Effect(ABC):
 
     @abstractmethod
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """What a unit of each coefficient adds to the channels of the domain.
+        """Columns ``(N, c, m)`` that a unit of each coefficient adds to the channels of the domain.
 
         Args:
             signals: of ``N`` samples.
@@ -250,9 +250,9 @@ class Effect(ABC):
         """
 
     def like_the_model(self, signals: Signals, joint: int) -> Array | None:
-        """Columns ``(N, c, k)`` of the form of the model's own parameters, which may cancel what of it is like them.
+        """Columns ``(N, c, k)`` of the model's own parameters that may cancel a part of this effect; None for none.
 
-        By default None: of no other effect a part is expected to be cancelled.
+        By default None.
         """
         return None
 
@@ -266,7 +266,7 @@ class Effect(ABC):
         return bool(self.within[0] < coefficients[0] < self.within[1])
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """Covariance of the coefficients beforehand ``(m, m)``; None where only their torque's size is known.
+        """Prior covariance of the coefficients ``(m, m)``; None where only the size of their torque is known.
 
         Args:
             signals, joint: as of ``columns``.
@@ -274,11 +274,11 @@ class Effect(ABC):
         return None
 
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
-        """Theta with which the coefficients ``(m,)`` are exact; by default as it is, for a physical one is fitted."""
+        """Theta for which the columns are exact with these coefficients ``(m,)``; by default theta itself."""
         return theta
 
     def settled(self, coefficients: Callable[[Theta], Array | None], theta: Theta) -> Theta:
-        """Theta with which its own coefficients are exact: a fixed point, approached while each step is smaller.
+        """Theta for which the columns are exact with their own coefficients: a fixed point by iteration.
 
         Args:
             coefficients: those that come out with some theta ``(m,)``, None where physics does not allow them.
@@ -299,15 +299,15 @@ class Effect(ABC):
             coefficients, std: estimates ``(m,)``, in ``coefficient_units``, and their standard deviations.
             theta, theta_std: the nonlinear parameters, in ``theta_units``, and theirs.
         """
-        # Of some causes a recording shows the first coefficients only.
+        # A recording may determine only the first coefficients of some causes.
         linear = zip(self.coefficient_names, coefficients, std, self.coefficient_units, strict=False)
         nonlinear = zip(self.theta_names, theta, theta_std, self.theta_units, strict=True)
         return [EffectParameter(name, float(value), float(s), unit) for name, value, s, unit in (*linear, *nonlinear)]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """What it changes in the loop: where it acts in the machine, or why it does not act.
+        """The change of the loop: where the effect acts in the machine, or why it does not act.
 
-        By default what ``changes`` names; else a torque is asked of the motor as it stands.
+        By default the change named by ``changes``; otherwise the motor provides its torque.
 
         Args:
             coefficients, theta: ``(m,)``, in ``coefficient_units``, and the nonlinear parameters, in ``theta_units``.
@@ -320,7 +320,7 @@ class Effect(ABC):
         return LoopChange(torque=True)
 
     def to_data(self) -> dict[str, Any]:
-        """What a model file has to remember of it beside name, joint, channel and numbers."""
+        """Further data of the effect for a model file, besides name, joint, channel and numbers."""
         return {}
 
 

@@ -1,11 +1,11 @@
-"""Errors of a camera that sees a line: its points are measured off, or were seen at another time than is stamped.
+"""Errors of a camera that sees a line: displaced points, or wrong time stamps.
 
 Only the part of a point's displacement across the line can be seen. For a point at ``u`` in the tool frame, with the
 pose ``R, p`` of the tool at the time stamp and the line's normal ``n`` in the surface, a displacement ``du`` of the
 measured point adds ``n' R du`` to its lateral deviation, and a delay ``delta`` adds ``-delta n' (v + omega × R u)``.
 
 An effect lists its errors, one for each coefficient. The regression of the line (``diagnosis``) makes a signal of each,
-and a follower takes them out of what it is told by the camera (``CameraErrors``): to add an effect is to list others.
+and a follower corrects the camera's points by them (``CameraErrors``). A new effect only lists its errors.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from ideal_robot.effects.signals import Signals
 
 @dataclass(frozen=True)
 class CameraError:
-    """What a unit of a coefficient is off by.
+    """The error that a unit of a coefficient causes.
 
-    The ``signal`` is named after what it does across the line, less what another line would do; an ``optional`` error
-    is left out where another line does the same.
+    The ``signal`` is its displacement across the line, without what another line would explain; an ``optional`` error
+    is left out where another line explains it.
     """
 
     signal: str
@@ -37,10 +37,10 @@ class CameraError:
 
 @dataclass(frozen=True)
 class PointError(CameraError):
-    """Points are measured off, by ``moved (m, 3)`` [m].
+    """Displaced points: ``moved (m, 3)`` [m] for a unit of the coefficient.
 
-    That is of points ``(m, 3)`` from where the optical axis meets the surface to where they are measured, in the tool
-    frame [m].
+    It is a function of the measured points ``(m, 3)``, relative to the optical axis on the surface, in the tool frame
+    [m].
     """
 
     moved: Callable[[Array], Array]
@@ -74,31 +74,31 @@ def _cubed(out: Array) -> Array:
 
 
 class CameraEffect(WholeArmEffect):
-    """An effect of a camera, made of its ``errors``: one for each coefficient, those that are optional last."""
+    """An effect of a camera with its ``errors``: one for each coefficient, optional ones last."""
 
     domain = SENSOR
     errors: ClassVar[tuple[CameraError, ...]]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: whether the recording can show the effect: the camera saw a line in it."""
+        """Whether the signals can show the effect: the camera has to have seen a line in the recording."""
         return all(error.signal in signals.extra for error in self.errors if not error.optional)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, 1, m)``, of those errors that can be seen."""
+        """Columns of shape ``(N, 1, m)``, of those errors that can be seen; see ``Effect.columns``."""
         columns = [signals.extra[error.signal] for error in self.errors if error.signal in signals.extra]
         return np.stack(columns, axis=-1)[:, None, :]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. What a follower is told by the camera, see ``CameraErrors``."""
+        """The change of the loop: the follower corrects its camera, see ``CameraErrors``."""
         return LoopChange(points=any(isinstance(error, PointError) for error in self.errors),
                           stamps=any(isinstance(error, StampError) for error in self.errors))
 
 
 class CameraLatency(CameraEffect):
-    """The points stamped ``t`` were seen from the pose at ``t + delta``.
+    """Delay of the camera: points stamped ``t`` were seen from the pose at ``t + delta``.
 
-    What is undeclared in the age of a picture. Along a straight line at constant attitude it moves points along the
-    line only and cannot be seen; where curvature or attitude change it can.
+    The error of the assumed age of a picture. Along a straight line at constant attitude it moves points along the line
+    only and cannot be seen; where curvature or attitude change it can.
     """
 
     name = "camera_latency"
@@ -109,7 +109,7 @@ class CameraLatency(CameraEffect):
 
 
 class CameraScale(CameraEffect):
-    """Measured points lie too far from the optical axis by a constant factor: ``du = epsilon (u - u_axis)``.
+    """Scale error of the camera: points lie too far from the optical axis by a factor, ``du = epsilon (u - u_axis)``.
 
     ``u``, as measured, is ``d / f · pixel``: an error of the distance d and one of the focal length f are the same.
     """
@@ -122,7 +122,7 @@ class CameraScale(CameraEffect):
 
 
 class CameraOffset(CameraEffect):
-    """Measured points are shifted along the tool's x and y axis and turned by psi about the camera's optical axis.
+    """Mounting error of the camera: points shifted along the tool's x and y, turned by psi about the optical axis.
 
     ``du = (dx, dy, 0) + psi z × (u - u_axis)``. A pitched or rolled camera at height h above the surface shifts its
     points by h times the angle, and is reported as such. A shift across a line to which the tool keeps its heading is
@@ -138,7 +138,7 @@ class CameraOffset(CameraEffect):
 
 
 class LensDistortion(CameraEffect):
-    """Measured points lie too far out by the cube of their distance from the optical axis: ``du = k r² (u - u_axis)``.
+    """Lens distortion: points lie too far out by the cube of their distance from the axis, ``du = k r² (u - u_axis)``.
 
     ``u`` is the point as measured. With a camera at height h above the surface ``k h²`` is the error of the first
     radial coefficient k1.
@@ -152,10 +152,9 @@ class LensDistortion(CameraEffect):
 
 
 class ClockDrift(CameraEffect):
-    """An error of the time stamps that grows, ``delta(t) = rate t``, from none at the recording's first sample.
+    """Drift of the camera's clock: the error of the stamps grows, ``delta(t) = rate t``, from zero at the first sample.
 
-    Both clocks are quartzes, or one of them is not read when it should be. Beside ``camera_latency`` it is only
-    known as far as the time is long in which the line is seen.
+    It can only be separated from ``camera_latency`` if the line is seen for a long time.
     """
 
     name = "clock_drift"
@@ -167,24 +166,24 @@ class ClockDrift(CameraEffect):
 
 @dataclass(frozen=True)
 class CameraErrors:
-    """The errors of a camera with their sizes, by which a follower corrects its measurements."""
+    """The errors of a camera with their sizes, from which a follower corrects its measurements."""
 
     sizes: tuple[tuple[CameraError, float], ...]
 
     @classmethod
     def of(cls, effects: Sequence[FittedEffect]) -> CameraErrors:
-        """Errors of a camera that all effects of a model make together."""
+        """The total errors of a camera from all effects of a model."""
         fits = [(fitted.effect, fitted.coefficients) for fitted in effects]
         return cls(tuple(size for effect, coefficients in fits if isinstance(effect, CameraEffect)
                          for size in zip(effect.errors, coefficients, strict=False)))
 
     def late_by(self, t: float) -> float:
-        """How much later than ``t`` [s] a picture with that time stamp was taken [s]."""
+        """Delay of a picture's exposure after its time stamp ``t`` [s]."""
         return sum((size * float(error.late(np.asarray(t))) for error, size in self.sizes
                     if isinstance(error, StampError)), 0.0)
 
     def points(self, measured: Array, axis: Array) -> Array:
-        """Points ``(m, 3)`` in the tool frame [m], as they would be measured without the errors.
+        """Corrects measured points ``(m, 3)`` in the tool frame [m] for the errors.
 
         Args:
             measured: in the tool frame ``(m, 3)`` [m].

@@ -1,4 +1,4 @@
-"""Drive and logger: motors, what is read as their torque, and signals that are recorded late."""
+"""Effects of drive and logger: motor inertias, errors of the measured torque, and delayed signals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GAIN = 0.15
 
 
 class CurrentOffset(Effect):
-    """``tau = o``: a constant the model does not have."""
+    """Constant torque that the model does not have: ``tau = o``."""
 
     name = "current_offset"
     coefficient_names = ("offset",)
@@ -33,16 +33,16 @@ class CurrentOffset(Effect):
     source = "[J] section 3: offset of the current sensors"
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. A torque's zero error is a part of the gear's dry friction."""
+        """Prior covariance of the coefficients: the offset of a torque is at most a part of the gear's dry friction."""
         return None if signals.dry is None else np.diag((_OFFSET * signals.dry[joint - 1 : joint]) ** 2 + 1e-12)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``: ones; see ``Effect.columns``."""
         return signals.on_joint(joint, np.ones_like(signals.t))
 
 
 class EncoderOffset(Effect):
-    """``q_a = q + o``: the encoder on the arm's side was moved, or its zero set anew."""
+    """Zero error of the arm-side encoder: ``q_a = q + o``."""
 
     name = "encoder_offset"
     domain = ARM_POSITION
@@ -54,36 +54,36 @@ class EncoderOffset(Effect):
     source = "a constant"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         return signals.on_joint(joint, np.ones_like(signals.t))
 
 
 class DriveGain(Effect):
-    """``tau = g tau_model``: the joint's whole torque scaled; ``g`` is the relative error of the drive gain.
+    """Relative error of a drive's gain: ``tau = g tau_model``, a scaled torque of the joint.
 
-    Inertia and gravity couple the joints, so that a gain of one drive alone is no change of inertias.
+    Inertia and gravity couple the joints, so that the gain of one drive differs from any change of inertias.
     """
 
     name = "drive_gain"
     coefficient_names = ("relative error of the gain",)
     coefficient_units = ("1",)
-    # A gain is positive and not wrong by a factor of three; most are right to a tenth.
+    # A gain is positive and within a factor of three; most are right to 10 %.
     within = (-0.7, 2.0)
     absorbed_by_base = True
     changes = "gain"
     source = "[J] (15): drive gains"
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. Magnets scatter by some per cent, and lose more with warmth and age."""
+        """Prior covariance: magnets differ by some per cent, and lose more with temperature and age."""
         return np.diag([_GAIN**2])
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         return signals.on_joint(joint, signals.torque[:, joint - 1])
 
 
 class RotorInertia(Effect):
-    """``tau = I_a qdd``: rotor, brake or coupling inertia times the gear ratio squared, missing in the model."""
+    """Missing inertia of rotor, brake or coupling times the squared gear ratio: ``tau = I_a qdd``."""
 
     name = "rotor_inertia"
     coefficient_names = ("change of rotor inertia",)
@@ -93,17 +93,18 @@ class RotorInertia(Effect):
     source = "[J] (1): I_a"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         return signals.on_joint(joint, signals.qdd[:, joint - 1])
 
 
 class AxisCoupling(Effect):
-    """Inertia, viscous and dry friction of a motor that turns at ``qd_j + r qd_i``, ``r = ±1``, as in many wrists.
+    """Coupled axes of a wrist: inertia and friction of a motor that turns at ``qd_j + r qd_i``, ``r = ±1``.
 
-        tau_j = I qdd_i + F_v qd_i + F_c sign(qd_j + r qd_i)      (and, where the shaft carries it back,
+        tau_j = I qdd_i + F_v qd_i + F_c sign(qd_j + r qd_i)      (and, where the shaft transmits it back,
         tau_i = I qdd_j + F_v qd_j + r F_c sign(qd_j + r qd_i)) .
 
-    theta is the partner axis ``i``, the sense ``r`` and whether both joints feel it (2) or only ``j`` (1).
+    theta is the partner axis ``i``, the sense ``r`` and the number of joints with the torque: both (2) or only ``j``
+    (1).
     """
 
     name = "axis_coupling"
@@ -115,19 +116,19 @@ class AxisCoupling(Effect):
     source = "J. Swevers et al., IEEE CSM 27(5), 2007; M. Gautier, wrist of the Stäubli RX 90"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``.
+        """Start values of theta within the physical bounds; see ``Effect.starts``.
 
-        Every axis near by, both senses; what both joints feel is named after the higher-numbered one.
+        Every neighbouring axis, both senses; a coupling of both joints is named after the higher-numbered one.
         """
         return [(float(i), sense, sides) for i in range(1, signals.n + 1) if i != joint and abs(i - joint) <= 2
                 for sense in (1.0, -1.0) for sides in ((1.0, 2.0) if joint > i else (1.0,))]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: there has to be another axis."""
+        """Whether the signals can show the effect: there has to be another axis; see ``Effect.usable``."""
         return signals.n > 1
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 3)``."""
+        """Columns of shape ``(N, n, 3)``; see ``Effect.columns``."""
         j, i, sense = joint - 1, int(theta[0]) - 1, theta[1]
         together = signals.direction(signals.qd[:, j] + sense * signals.qd[:, i], joint)
         result = signals.on_joint(joint, signals.qdd[:, i], signals.qd[:, i], together)
@@ -136,9 +137,11 @@ class AxisCoupling(Effect):
         return result
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The shaft has inertia and friction, not less than none.
+        """Whether the coefficients are possible: inertia and friction of the shaft are not negative.
 
-        Small terms may come out below zero: the negative ones are less than a fifth of the largest.
+        See ``Effect.plausible``.
+
+        Small terms may be estimated below zero, down to a fifth of the largest.
         """
         i, sense = int(theta[0]) - 1, theta[1]
         sizes = np.array([np.std(signals.qdd[:, i]), np.std(signals.qd[:, i]), 1.0])
@@ -146,15 +149,18 @@ class AxisCoupling(Effect):
         return bool(-np.min(parts) < 0.2 * np.max(parts))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The three coefficients and the partner, which is a choice and has no deviation."""
+        """The numbers to report: the three coefficients and the partner, which is a choice and has no deviation.
+
+        See ``Effect.parameters``.
+        """
         return super().parameters(coefficients, std, theta, (0.0,) * 3)
 
 
 class DeadTime(Effect):
-    """Something is recorded late by ``delta``; the arm moves as it did.
+    """A signal is recorded late by ``delta``; the motion itself does not change.
 
-    A delay beyond ``longest`` [s] is none of a recording, one in the open interval ``held`` [s] is in every drive, for
-    a torque is held over a cycle.
+    A delay beyond ``longest`` [s] is implausible; one in the open interval ``held`` [s] is normal, as a drive keeps its
+    torque over a cycle (zero-order hold).
     """
 
     name = "dead_time"
@@ -166,20 +172,23 @@ class DeadTime(Effect):
     held: ClassVar[tuple[float, float]] = (0.0, 0.0)
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Milliseconds, not tenths of a second; not what a drive does."""
+        """Whether the coefficients are possible: milliseconds, and more than a drive's own hold.
+
+        See ``Effect.plausible``.
+        """
         low, high = self.held
         return bool(abs(coefficients[0]) < self.longest and not low < coefficients[0] < high)
 
 
 class LateTorque(DeadTime):
-    """The torque of one joint is recorded late by ``delta``: ``tau_j(t) = tau_model,j(t - delta)``.
+    """Delay of one joint's recorded torque: ``tau_j(t) = tau_model,j(t - delta)``.
 
-    To first order ``-delta d tau_model/dt``, by which it competes with a soft gear, whose trace is the *second*
-    derivative of the load. The column is the chord ``(tau_model(t - theta) - tau_model(t))/theta``, exact where
-    theta has become ``delta``. Negative: the torque is early, i.e. the position is late.
+    To first order ``-delta d tau_model/dt``, so it is easily mistaken for a soft gear, whose torque is proportional to
+    the *second* derivative of the load. The column is the chord ``(tau_model(t - theta) - tau_model(t))/theta``, exact
+    where theta has become ``delta``. Negative: the torque is early, i.e. the position is late.
     """
 
-    prior = -3.0  # Clocks are common to joints.
+    prior = -3.0  # Clocks are usually common to all joints.
     usual = 1.0
 
     theta_names = ("chord",)
@@ -194,34 +203,34 @@ class LateTorque(DeadTime):
     _shortest = 5e-5
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: a tangent, and chords to either side."""
+        """Start values of theta: a tangent at zero, and chords to either side; see ``Effect.starts``."""
         return [(delay,) for delay in (1e-3, -1e-3, 8e-3, -8e-3)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: the longest delay to either side."""
+        """Bounds of theta: the longest delay to either side; see ``Effect.bounds``."""
         return [(-self.longest, self.longest)]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         torque = signals.torque[:, joint - 1]
         return signals.on_joint(joint, (delayed(torque, theta[0], signals.dt) - torque) / theta[0])
 
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
-        """The chord as long as the delay, where it is exact."""
+        """Theta for which the columns are exact: a chord as long as the delay; see ``Effect.consistent_theta``."""
         delay = float(np.clip(coefficients[0], -self.longest, self.longest))
         return (float(np.copysign(max(abs(delay), self._shortest), delay)),)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The delay alone; the chord is only how it was computed."""
+        """The numbers to report: only the delay; the chord is a means of computation; see ``Effect.parameters``."""
         return [EffectParameter(self.coefficient_names[0], float(coefficients[0]), float(std[0]), "s")]
 
 
 class CommonDelay(WholeArmEffect, LateTorque):
-    """The torques of all joints are recorded late by one ``delta``: ``tau(t) = tau_model(t - delta)``.
+    """Common delay of all recorded torques: ``tau(t) = tau_model(t - delta)``.
 
-    A clock or a bus of the logger's own, an average over its interval, a filter of higher order: below their corner
-    they all are a delay. One number for the whole arm (joint 0), tried before any joint has a delay of its own;
-    negative where the positions are late.
+    The logger's clock or bus, an average over its interval, a filter of higher order all act as a delay below their
+    corner frequency. One number for the whole arm (joint 0), tried before any joint has a delay of its own; negative
+    where the positions are late.
     """
 
     prior = 0.0
@@ -231,22 +240,22 @@ class CommonDelay(WholeArmEffect, LateTorque):
     )
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: on a recording of several joints; on one it would be that joint's delay."""
+        """Whether the signals can show it: with one joint it would equal that joint's delay; see ``Effect.usable``."""
         return signals.n > 1
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         late = np.column_stack([delayed(torque, theta[0], signals.dt) for torque in signals.torque.T])
         return np.asarray((late - signals.torque)[:, :, None] / theta[0])
 
 
 class TorqueFilter(CommonDelay):
-    """The torques of all joints pass one lag of first order: ``T dtau/dt + tau = tau_model``.
+    """Common first-order lag of all recorded torques: ``T dtau/dt + tau = tau_model``.
 
     The column is ``(tau(T) - tau_model)/T``, exact where theta has become the time constant.
     """
 
-    prior = -2.0  # All that is late is a delay; a lag says besides that what is quick is weakened.
+    prior = -2.0  # Every lag is a delay that also damps fast signals, so the simpler delay is more likely.
     name = "torque_filter"
     coefficient_names = ("time constant",)
     held = (-np.inf, 0.0)
@@ -254,44 +263,44 @@ class TorqueFilter(CommonDelay):
     source = "lag of first order"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: a short and a long one."""
+        """Start values of theta: a short and a long one; see ``Effect.starts``."""
         return [(1e-3,), (8e-3,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: from no filter to the longest."""
+        """Bounds of theta: from no filter to the longest; see ``Effect.bounds``."""
         return [(0.0, self.longest)]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``; begins settled."""
+        """Columns of shape ``(N, n, 1)``; starts in the steady state; see ``Effect.columns``."""
         b, a = signal.bilinear([1.0], [theta[0], 1.0], 1.0 / signals.dt)
         settled = signal.lfilter_zi(b, a)[:, None] * signals.torque[:1]
         late, _ = signal.lfilter(b, a, signals.torque, axis=0, zi=settled)
         return np.asarray((late - signals.torque)[:, :, None] / theta[0])
 
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
-        """The time constant, where the column is exact."""
+        """Theta for which the columns are exact: the time constant; see ``Effect.consistent_theta``."""
         return (float(np.clip(coefficients[0], self._shortest, self.longest)),)
 
 
 class LatePosition(DeadTime):
-    """The position of one joint is recorded late by ``delta``: every torque is computed from an old angle.
+    """Delay of one joint's recorded position by ``delta``: all torques are computed from an old angle.
 
     ``delta tau = delta (dtau/dq_j qd_j + dtau/dqd_j qdd_j + dtau/dqdd_j d(qdd_j)/dt)`` on all joints, from differences
     of the rigid body.
     """
 
-    prior = -3.0  # Clocks are common to joints.
+    prior = -3.0  # Clocks are usually common to all joints.
     usual = 1.0
 
     prefix = "q"
     held = (0.0, HOLD)
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: on a recording of several joints; on one it is a delay of the torque, negative."""
+        """Whether the signals can show it: with one joint it would equal a negative torque delay."""
         return signals.n > 1 and signals.rigid is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         if signals.derivatives is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
         j = joint - 1
@@ -301,23 +310,23 @@ class LatePosition(DeadTime):
 
 
 class LateMeasurement(DeadTime):
-    """An arm angle, all of them by one clock, or the TCP is late by ``delta``: to first order ``-delta qd``.
+    """Delay of an arm angle, of all of them, or of the TCP by ``delta``: to first order ``-delta qd``.
 
-    The channels of all arm angles alike are ``qa_all``.
+    The channel of a common delay of all arm angles is ``qa_all``.
     """
 
     domain = ARM_POSITION
     longest = 0.1
 
     def joints(self, signals: Signals) -> Iterator[int]:
-        """See ``Effect.joints``: each joint, and the whole arm where it has more than one."""
+        """Joints with the effect: each joint, and the whole arm where it has more than one; see ``Effect.joints``."""
         if self.channel_prefix == ARM_POSITION.prefix:
             yield from super().joints(signals)
         elif signals.n > 1 or self.domain == TCP_POSITION:
             yield 0
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``, at the TCP ``(N, 3, 1)``."""
+        """Columns of shape ``(N, n, 1)``, at the TCP ``(N, 3, 1)``; see ``Effect.columns``."""
         if joint > 0:
             return signals.on_joint(joint, -signals.qd[:, joint - 1])
         if self.domain != TCP_POSITION:
@@ -328,7 +337,7 @@ class LateMeasurement(DeadTime):
 
 
 def delayed(values: Array, delay: float, dt: float) -> Array:
-    """A signal ``(N,)`` that is late, by cubic splines between samples; the ends are held.
+    """A signal ``(N,)`` delayed by ``delay`` [s], by cubic splines; beyond its ends it is constant.
 
     Args:
         values: the signal, in any unit.

@@ -1,4 +1,4 @@
-"""Gears between motor and arm: how what they do shows, and gears that give."""
+"""Elastic gears between motor and arm: the channels that show a gear, and compliant gears."""
 
 from __future__ import annotations
 
@@ -26,45 +26,46 @@ _STEP = 1e-3
 
 
 class GearEffect(Effect):
-    """A gear whose arm is not where the motor is: ``q_a = q - bend``.
+    """A gear behind which the arm angle differs from the motor angle: ``q_a = q - bend``.
 
-    The bend is seen at the arm's angle, at the TCP through the Jacobian, and in the motor torque, which moves the arm
-    on ``q_a``: ``delta tau = tau_rigid(q - bend, …) - tau_rigid(q, …)`` on all joints, to first order in the bend.
+    The deflection ``bend`` is seen at the arm's angle, at the TCP through the Jacobian, and in the motor torque, which
+    moves the arm on ``q_a``: ``delta tau = tau_rigid(q - bend, …) - tau_rigid(q, …)`` on all joints, to first order in
+    the deflection.
     """
 
     slow: ClassVar[float] = 2.5
     """The position filter lets pass all of the band that is looked at; the load counts up to two thirds of that."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: by torques where the rigid body is a known function, by a TCP that the joint moves."""
+        """Whether the signals can show it: torques need a rigid-body function, a TCP needs a joint that moves it."""
         return signals.rigid is not None if self.domain == MOTOR_TORQUE else shows_gear(self.domain, signals, joint)
 
     @abstractmethod
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """What a unit coefficient bends the gear by ``(N,)``, in rad (m).
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m].
 
         Args:
             signals, joint, theta: as of ``Effect.columns``.
         """
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``, at the TCP ``(N, 3, 1)``."""
+        """Columns of shape ``(N, n, 1)``, at the TCP ``(N, 3, 1)``; see ``Effect.columns``."""
         if self.domain != MOTOR_TORQUE:
             return turned_arm(self.domain, signals, joint, -self.bend(signals, joint, theta)[:, None])
         if signals.derivatives is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
         bend = self.bend(signals, joint, theta)
         if signals.cutoff is not None:
-            # The bend is in the recorded position, and of that the filter let pass only the slow part.
+            # The deflection is in the recorded position, of which the filter passed only the slow part.
             bend = lowpass(bend, signals.dt, signals.cutoff)
         rate = signals.rate(bend)
         return -signals.derivatives.along(joint, bend, rate, signals.rate(rate))[:, :, None]
 
     def load(self, signals: Signals, joint: int) -> Array:
-        """Load that bends the gear ``(N,)`` [N m]; in torques as far as the motion asks for it.
+        """Load that deflects the gear ``(N,)`` [N m]; for torques only within the band of the motion.
 
-        It is computed from the motor's position, which holds the bend: where the bend sets in, the motor's acceleration
-        jumps, and that jump is no load of the arm. In recorded motions it is filtered out.
+        It is computed from the motor's position, which contains the deflection: where that sets in, the motor's
+        acceleration jumps without a load of the arm. In recorded motions this is filtered out.
         """
         if self.domain == MOTOR_TORQUE and signals.cutoff is not None:
             return signals.slow_load(joint, signals.cutoff / self.slow)
@@ -72,7 +73,7 @@ class GearEffect(Effect):
 
 
 class JointElasticity(GearEffect):
-    """A gear that gives: ``q_a = q - tau_load/K``. In the torque its trace is the second derivative of the load."""
+    """A compliant gear: ``q_a = q - tau_load/K``; in torques it shows as the second derivative of the load."""
 
     usual = 1.0
     name = "joint_elasticity"
@@ -81,63 +82,69 @@ class JointElasticity(GearEffect):
     source = "[J] (1), (2): elastic joint"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``.
+        """Whether the needed signals exist and the joint moves enough to show the effect; see ``Effect.usable``.
 
-        Without a load nothing bends; in torques a gear that the model knows gives further, or not at all.
+        It needs a load; in torques, a gear whose stiffness the model has is left to ``FurtherElasticity``.
         """
         known = self.domain == MOTOR_TORQUE and _known_gear(signals, joint)
         return super().usable(signals, joint) and not known and float(np.std(signals.load[:, joint - 1])) > 0.0
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``GearEffect.bend``."""
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m]; see ``GearEffect.bend``."""
         return self.load(signals, joint)
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. A spring holds; one in torques bends by less than a twentieth of a radian."""
+        """Whether the coefficients are possible: a positive stiffness; in torques a deflection below 0.05 rad.
+
+        See ``Effect.plausible``.
+        """
         if self.domain != MOTOR_TORQUE:
             return bool(coefficients[0] > 0.0)
         bend = float(np.max(np.abs(signals.load[:, joint - 1])))
         return bool(0.0 < coefficients[0] * bend < 0.05) if bend else False
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The stiffness."""
+        """The numbers to report: the stiffness; see ``Effect.parameters``."""
         c = float(coefficients[0])
         return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Torques give the whole compliance, angles what is added to the known one."""
+        """The change of the loop: torques determine the whole compliance, angles what is added to the known one."""
         if self.domain == MOTOR_TORQUE:
             return LoopChange(gear_compliance=coefficients[0])
         return LoopChange(further_compliance=coefficients[0], from_arm_angle=self.domain == ARM_POSITION)
 
 
 class FurtherElasticity(JointElasticity):
-    """Seen in the motor torque beside a gear whose stiffness the model knows: what it gives beyond that."""
+    """Compliance of a gear beyond the stiffness that the model has, as seen in motor torques."""
 
     coefficient_names = ("further compliance",)
     # A stiffer gear than the model's is as possible as a softer one.
     prefix = "tau_further"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: only where the model has a stiffness of this gear."""
+        """Whether the signals can show the effect: only where the model has a stiffness of this gear."""
         return _known_gear(signals, joint) and GearEffect.usable(self, signals, joint)
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. A gear twice as soft as it is known to be is one standard deviation off."""
+        """Prior covariance of the coefficients: one standard deviation is a gear twice as soft as in the model."""
         known = 0.0 if signals.compliance is None else float(signals.compliance[joint - 1])
         return np.array([[known**2]])
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. A spring still holds."""
+        """Whether the coefficients are possible: the total stiffness stays positive; see ``Effect.plausible``."""
         known = 0.0 if signals.compliance is None else float(signals.compliance[joint - 1])
         return bool(coefficients[0] > -known)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The compliance, for the stiffness is the model's and this together."""
+        """The numbers to report: the additional compliance, as the stiffness also depends on the model's.
+
+        See ``Effect.parameters``.
+        """
         return Effect.parameters(self, coefficients, std, theta, theta_std)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Beyond what was known."""
+        """The change of the loop: compliance beyond the known one; see ``Effect.loop_change``."""
         return LoopChange(further_compliance=coefficients[0])
 
 
@@ -146,9 +153,9 @@ def _known_gear(signals: Signals, joint: int) -> bool:
 
 
 class ElasticityAtArm(JointElasticity):
-    """Seen at the arm's angle: ``q_a = q - (tau_load - J qdd)/K``, of what is taken for load the rotor's inertia ``J``.
+    """Compliant gear seen at the arm angle: ``q_a = q - (tau_load - J qdd)/K``, without the rotor inertia ``J``.
 
-    A rotor turns with its link, and torques tell the sum of their inertias; the link's alone bends the gear.
+    Torques determine the sum of rotor's and link's inertia; only the link's deflects the gear.
     """
 
     usual = 0.0
@@ -156,43 +163,43 @@ class ElasticityAtArm(JointElasticity):
     theta_units = ("kg m²",)
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: the rotor inertia that the model has."""
+        """Start values of theta: the rotor inertia that the model has; see ``Effect.starts``."""
         return [(0.0,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``.
+        """Physical bounds of each theta; see ``Effect.bounds``.
 
-        Either may have all of the inertia; of none, which a poorly identified model may have, there is nothing.
+        From none to all of the inertia; a poorly identified model may have none.
         """
         inertia = _mean_inertia(signals, joint)
         return [(-inertia, inertia)] if inertia > 0.0 else []
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
-        """See ``Effect.bounds_near``. All of it: zero is as good as any."""
+        """Bounds of theta near a start: the full range, as zero is a valid start; see ``Effect.bounds_near``."""
         return self.bounds(signals, joint)
 
     def complete(self, theta: Theta) -> bool:
-        """See ``Effect.complete``. Without the rotor it is that of earlier versions."""
+        """Whether theta is complete: files of earlier versions lack the rotor inertia; see ``Effect.complete``."""
         return len(theta) <= 1
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``GearEffect.bend``."""
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m]; see ``GearEffect.bend``."""
         return np.asarray(self.load(signals, joint) - (theta[0] * signals.qdd[:, joint - 1] if theta else 0.0))
 
     def like_the_model(self, signals: Signals, joint: int) -> Array:
-        """See ``Effect.like_the_model``. What the gear bends all the time is a constant of the measuring device."""
+        """A constant column, as a constant deflection equals an offset of the measuring device."""
         return signals.on_joint(joint, np.ones(len(signals.t)))
 
 
 class GearResonance(GearEffect):
-    """Seen in the motor torque: what the arm is late by behind a soft gear is the answer of an oscillator to its load.
+    """Resonance of a soft gear in the motor torque: the arm follows the motor as an oscillator under its load.
 
         M d²y/dt² + d dy/dt + K y = tau_load(q),   q_a = q - y,
 
     ``y`` the twist, ``M`` the inertia behind the gear, ``tau_load`` of the motor's own motion. ``JointElasticity`` is
     the limit of slow motion, ``y = tau_load/K``: at two thirds of the resonance ``sqrt(K/M)`` it has half of the twist,
-    and above it the wrong sign. The coefficient is one where the inertia is right, in slow motion as well: what gives
-    with the wrong sign there is no gear.
+    and above it the wrong sign. The coefficient is one if the inertia is right, also in slow motion; a negative one is
+    not a gear.
     """
 
     usual = 1.0
@@ -201,47 +208,50 @@ class GearResonance(GearEffect):
     theta_units = ("N m/rad",)
     coefficient_names = ("share",)
     coefficient_units = ("1",)
-    # The inertia that is set free is that behind the gear, as well as it is known.
+    # The inertia in the free motion is that behind the gear, within the model's accuracy.
     within = (0.4, 2.5)
     source = JointElasticity.source
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: there has to be a load, and an inertia behind the gear."""
+        """Whether the signals can show the effect: there has to be a load, and an inertia behind the gear."""
         loaded = float(np.std(signals.load[:, joint - 1])) > 0.0 and _mean_inertia(signals, joint) > 0.0
         loaded = loaded and not _known_gear(signals, joint)
         return super().usable(signals, joint) and loaded and len(signals.t) > 2
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: stiffnesses whose resonances lie at ``_HERTZ``."""
+        """Start values of theta: stiffnesses whose resonances lie at ``_HERTZ``; see ``Effect.starts``."""
         return [(_stiffness(signals, joint, hertz),) for hertz in _HERTZ]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: stiffnesses whose resonances lie within the band."""
+        """Bounds of theta: stiffnesses whose resonances lie within the band; see ``Effect.bounds``."""
         return [(_stiffness(signals, joint, _LOWEST), _stiffness(signals, joint, _HIGHEST))]
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
-        """See ``Effect.bounds_near``: from the start below to the start above."""
+        """Bounds of theta near a start: from the start below to the start above; see ``Effect.bounds_near``."""
         (low, high), = self.bounds(signals, joint)
         return [(max(low, 0.72 * theta[0]), min(high, 1.4 * theta[0]))]
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``GearEffect.bend``."""
+        """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m]; see ``GearEffect.bend``."""
         inertia = signals.inertia_behind(joint)
         return np.asarray(swinging(signals.load[:, joint - 1] / inertia, inertia, signals.dt, theta[0]))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The stiffness, no better than the inertia with which it swings is known."""
+        """The numbers to report: the stiffness, no more accurate than the inertia behind the gear.
+
+        See ``Effect.parameters``.
+        """
         sigma = theta_std[0] if theta_std else 0.0
         return [EffectParameter("stiffness", theta[0], float(np.hypot(sigma, theta[0] * (1.0 - coefficients[0]))),
                                 "N m/rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The gear, as the torque says it: all of it."""
+        """The change of the loop: the whole compliance of the gear, as from torques; see ``Effect.loop_change``."""
         return LoopChange(gear_compliance=1.0 / theta[0])
 
 
 def turned_arm(domain: Domain, signals: Signals, joint: int, turn: Array) -> Array:
-    """Columns of an arm that turns behind its gear: at the arm's angle ``(N, n, m)``, at the TCP ``(N, 3, m)``.
+    """Columns of a rotation of the arm behind its gear: at the arm's angle ``(N, n, m)``, at the TCP ``(N, 3, m)``.
 
     Args:
         domain: of arm angles or of the TCP.
@@ -256,7 +266,7 @@ def turned_arm(domain: Domain, signals: Signals, joint: int, turn: Array) -> Arr
 
 
 def shows_gear(domain: Domain, signals: Signals, joint: int) -> bool:
-    """Whether what was measured lies behind the gear of a joint: arm angles do, a TCP if the joint moves it.
+    """Whether a domain measures behind the gear of a joint: arm angles do, a TCP if the joint moves it.
 
     Args:
         domain: of arm angles or of the TCP.
@@ -271,7 +281,7 @@ def shows_gear(domain: Domain, signals: Signals, joint: int) -> bool:
 
 @jit()
 def swinging(acceleration: Array, inertia: Array, dt: float, stiffness: float) -> Array:
-    """Twist of a gear that bends under its arm, from rest under the first load: motor less arm angle ``(N,)`` [rad].
+    """Twist of a gear that oscillates with its arm, from rest under the first load: motor less arm ``(N,)`` [rad].
 
     Args:
         acceleration: of the motor relative to the unloaded arm, ``tau_load/M`` ``(N,)`` [rad/s²].
@@ -289,7 +299,7 @@ def swinging(acceleration: Array, inertia: Array, dt: float, stiffness: float) -
             share = (i + 0.5) / count
             driven = acceleration[k - 1] + share * (acceleration[k] - acceleration[k - 1])
             square = stiffness / (inertia[k - 1] + share * (inertia[k] - inertia[k - 1]))
-            # Implicit, so that it stays bounded where the inertia is small.
+            # Implicit, so that it stays bounded for a small inertia.
             speed = (speed + h * (driven - square * at)) / (1.0 + 2.0 * h * _DAMPING * np.sqrt(square) + h * h * square)
             at += h * speed
         twist[k] = at

@@ -1,4 +1,4 @@
-"""An effect with its numbers, as it stands in a model; among them a cause that the library does not have."""
+"""An effect with its fitted numbers, as in a model file; also learned curves without a physical law."""
 
 from __future__ import annotations
 
@@ -31,11 +31,10 @@ _MOTION = re.compile(r"(q|qd|qdd|load)_\d+")
 
 @dataclass(frozen=True)
 class Unknown(Effect):
-    """A cubic spline over one signal, or products of two, on one channel, optionally times ``sign(qd)`` of its joint.
+    """A learned curve: a cubic spline over one signal, or products of two, optionally times ``sign(qd)``.
 
-    Outside the range it was fitted in it keeps the value of its end at first and goes to zero within ``margin`` of the
-    range: a path reaches a little further than the motion it was fitted to, and often turns round there; far away
-    nothing is claimed.
+    Outside the range of the fit it keeps its end value at first and goes to zero within ``margin`` of the range, as a
+    path may reach a little further than the fitted motion.
 
     Attributes:
         depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
@@ -65,20 +64,20 @@ class Unknown(Effect):
                    domain=domain_of(str(data.get("prefix", data.get("head", MOTOR_TORQUE.prefix)))))
 
     def to_data(self) -> dict[str, Any]:
-        """What the model file has to remember."""
+        """The data of the curve for a model file."""
         return {"depends_on": list(self.depends_on), "directed": self.directed,
                 "knots": [list(k) for k in self.knots], "frequency": self.frequency, "prefix": self.domain.prefix}
 
     def signals_of(self, joint: int) -> list[str]:
-        """Signals it depends on at a joint (from 1), its direction of motion among them for a directed curve."""
+        """Names of the signals that the curve of a joint (from 1) depends on, with the direction if directed."""
         return [*self.depends_on, *([f"sign(qd_{joint})"] if self.directed else [])]
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. None: a curve has no physical numbers."""
+        """No numbers, as a learned curve has no physical ones; see ``Effect.parameters``."""
         return []
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, m)``: the basis functions on the joint's channel."""
+        """Columns of shape ``(N, n, m)``: the basis functions on the joint's channel; see ``Effect.columns``."""
         basis = self.basis(signals)
         if self.directed:
             basis = basis * signals.sliding_direction(joint)[:, None]
@@ -89,7 +88,7 @@ class Unknown(Effect):
         return signals.on_joint(joint, *basis.T)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``: the curve is taken at the motor's motion, zero outside the recorded range."""
+        """The change of the loop: the curve over the motor's motion, zero outside the recorded range."""
         if self.domain != MOTOR_TORQUE:
             return LoopChange(nowhere="a curve without a cause does not say whether arm or measurement is off")
         if not all(_MOTION.fullmatch(name) for name in self.depends_on):
@@ -142,7 +141,7 @@ def signal_of(signals: Signals, name: str) -> Array:
     table = {"q": signals.q, "qd": signals.qd, "qdd": signals.qdd, "load": signals.load, "temp": signals.temperature}
     if tail.isdigit() and kind in table:
         values = table[kind]
-        # A temperature that one recording has and another has not: then the term says nothing.
+        # If another recording has no temperature, the term is zero.
         return np.zeros_like(signals.t) if values is None else np.asarray(values[:, int(tail) - 1])
     if name in signals.extra:
         return np.asarray(signals.extra[name])
@@ -151,17 +150,17 @@ def signal_of(signals: Signals, name: str) -> Array:
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect with its numbers, as it stands in a model file.
+    """An effect with its fitted numbers, as in a model file.
 
     Attributes:
         name: key of the effect in the library, or ``unknown``.
         joint: joint from 1, or 0 for the whole arm.
-        channel: channel it was found in, e.g. ``tau_3``.
+        channel: channel in which it was found, e.g. ``tau_3``.
         coefficients, std: linear coefficients ``(m,)`` and their standard deviations.
         theta, theta_std: nonlinear parameters.
-        data: what the effect must remember of the data it was fitted to (e.g. knots and bounds of a spline).
+        data: data of the fit that the effect needs (e.g. knots and bounds of a spline).
         parameters: the physical numbers for people.
-        evidence: p-value, error before and after, how it was held out, what it cannot be distinguished from.
+        evidence: p-value, error before and after, kind of held-out data, causes that it cannot be distinguished from.
     """
 
     name: str
@@ -177,19 +176,19 @@ class FittedEffect:
 
     @property
     def effect(self) -> Effect:
-        """The effect of the library behind it, by name and channel; InputError where this version does not know it."""
+        """The library's effect of this name and channel; InputError where this version does not have it."""
         if self.name == Unknown.name:
             return Unknown.from_data(self.data)
         return find(self.name, prefix_of(self.channel))
 
     @property
     def domain(self) -> Domain:
-        """Where it acts: see ``Effect.domain``."""
+        """The domain in which it acts, see ``Effect.domain``."""
         return self.effect.domain
 
     def contribution(self, signals: Signals) -> Array:
         """What the effect adds to its channels ``(N, c)`` [N m for motor torque, rad or m for positions]."""
-        # A file of an earlier version may have fewer coefficients; what it does not say is none.
+        # A file of an earlier version may have fewer coefficients; missing ones are zero.
         columns = self.effect.columns(signals, self.joint, self.theta)[..., : len(self.coefficients)]
         return np.asarray(columns @ np.asarray(self.coefficients, dtype=float))
 

@@ -1,4 +1,4 @@
-"""Errors of a force sensor, and a contact that gives more than is assumed."""
+"""Effects of a force sensor's errors, and of a contact that is softer than assumed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ percent."""
 
 
 class ForceBias(WholeArmEffect):
-    """A constant in the sensor's own frame, ``delta w = b``, whatever the tool's orientation.
+    """Bias of a force sensor: a constant in its own frame, ``delta w = b``, in any orientation of the tool.
 
     The tool's weight turns with the orientation, ``f = m R' g``, ``m = (m c) × R' g``, and is fitted beside it.
     """
@@ -38,20 +38,20 @@ class ForceBias(WholeArmEffect):
     source = "[L] 4.4: bias and weight of the tool from several orientations"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: a wrench in free motion has to be there."""
+        """Whether the signals can show the effect: the recording needs a wrench in free motion."""
         return MOMENTS in signals.extra
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, 6, 6)``, or ``(N, 3, 3)`` for a sensor of forces alone."""
+        """Columns of shape ``(N, 6, 6)``, or ``(N, 3, 3)`` for a sensor of forces alone; see ``Effect.columns``."""
         count = 6 if MOMENTS in signals.extra and bool(np.all(signals.extra[MOMENTS] > 0.5)) else 3
         return np.tile(np.eye(count), (len(signals.t), 1, 1))
 
 
 class ForceCompliance(WholeArmEffect):
-    """The position at which the tip is, given the surface, is off in proportion to the force: ``delta x_n = -c F``.
+    """Compliance beyond the assumed one: the tip's distance to the surface is off in proportion to the force, ``-c F``.
 
     ``F = E (h - x_n)`` with the surface at ``h``, [L] (3): where ``E`` is assumed as ``E_0``, ``c = 1/E - 1/E_0``;
-    where contact is taken for rigid, ``c = 1/E``.
+    where the contact is assumed rigid, ``c = 1/E``.
     """
 
     name = "force_compliance"
@@ -63,23 +63,26 @@ class ForceCompliance(WholeArmEffect):
     source = "[L] (3): F_r - F = E delta x"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: there has to be a contact."""
+        """Whether the signals can show the effect: the recording needs a contact; see ``Effect.usable``."""
         return CONTACT_FORCE in signals.extra
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, 1, 1)``."""
+        """Columns of shape ``(N, 1, 1)``; see ``Effect.columns``."""
         force = signals.extra.get(CONTACT_FORCE, np.zeros(len(signals.t)))
         return -np.asarray(force)[:, None, None]
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Large against what is assumed."""
+        """Whether the coefficients are possible: the compliance is not much smaller than the assumed one.
+
+        See ``Effect.plausible``.
+        """
         assumed = float(np.max(signals.extra.get(ASSUMED_GIVE, np.zeros(1))))
         return bool(abs(coefficients[0]) > _SMALLEST * assumed)
 
 
 @dataclass(frozen=True)
 class ForceErrors:
-    """What effects say of force sensor and contact, put together: how a force controller corrects its readings.
+    """The total errors of force sensor and contact, by which a force controller corrects its readings.
 
     The sensor shows a ``wrench (6,)`` [N, N m] when nothing touches the tool; ``give`` [m/N] is compliance beyond what
     is assumed.
@@ -98,6 +101,6 @@ class ForceErrors:
         return cls(wrench, sum(change.give for change in changes))
 
     def stiffness(self, assumed: float) -> float:
-        """Elasticity of the contact [N/m] where ``assumed`` is what is counted with; [L] (3)."""
+        """Elasticity of the contact [N/m] with the found compliance added to the ``assumed`` one; [L] (3)."""
         give = 1.0 / assumed + self.give
         return 1.0 / give if give > 0.0 else assumed

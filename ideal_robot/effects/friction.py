@@ -1,4 +1,4 @@
-"""Friction that differs from the model's: terms of the friction laws, and what load, warmth and reversals make of them.
+"""Effects of friction: terms that the model lacks, and the influences of load, temperature and reversals.
 
 The laws are those of ``ideal_robot.friction``, the same objects that identification fits.
 """
@@ -28,7 +28,7 @@ class LawTerm(Effect):
     Attributes:
         law: the law.
         term: index of the term among its columns.
-        standstill: end of what is searched, -1 or 1, at which theta leaves it near standstill alone; 0 if none.
+        standstill: end of theta's range, -1 or 1, at which the term acts only near standstill; 0 if none.
     """
 
     law: ClassVar[type[laws.FrictionModel]]
@@ -36,7 +36,7 @@ class LawTerm(Effect):
     standstill: ClassVar[int] = 0
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         return signals.on_joint(joint, self.friction(signals.qd[:, joint - 1], signals.sliding_direction(joint), theta))
 
     def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
@@ -49,12 +49,12 @@ class LawTerm(Effect):
         return self.law.columns(qd, direction, np.array(theta))[self.term]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Friction over speed."""
+        """The change of the loop: friction over speed; see ``Effect.loop_change``."""
         return LoopChange(friction_curve=True)
 
 
 class Viscous(LawTerm):
-    """``tau = a_1 qd`` ([G] (1)): more, or less, viscous friction than the model has."""
+    """Viscous friction beyond the model's, positive or negative: ``tau = a_1 qd`` ([G] (1))."""
 
     name = "viscous"
     law, term = laws.ViscousCoulomb, 0
@@ -65,7 +65,7 @@ class Viscous(LawTerm):
 
 
 class Coulomb(LawTerm):
-    """``tau = a_2 sign(qd)`` ([G] (1)): more, or less, dry friction than the model has."""
+    """Dry friction beyond the model's, positive or negative: ``tau = a_2 sign(qd)`` ([G] (1))."""
 
     name = "coulomb"
     law, term = laws.ViscousCoulomb, 1
@@ -75,7 +75,7 @@ class Coulomb(LawTerm):
 
 
 class Degressive(LawTerm):
-    """``tau = a_3 arctan(a_4 qd)`` ([G] (3)); ``a_4 → 0`` of a wide range comes close to ``qd^(1/3)`` of [G] (2).
+    """Degressive friction ``tau = a_3 arctan(a_4 qd)`` ([G] (3)); a small ``a_4`` is close to ``qd^(1/3)`` of [G] (2).
 
     Physically the rise is upwards, ``a_3 > 0``: with a falling characteristic it is the Stribeck effect.
     """
@@ -85,25 +85,25 @@ class Degressive(LawTerm):
     theta_names = ("a_4",)
     theta_units = ("s/rad",)
     coefficient_names = ("a_3",)
-    # The characteristic bends downwards from a rise.
+    # The friction curve rises and then flattens.
     within = (0.0, np.inf)
     standstill = 1
     discriminating_motion = (("viscous", "constant-velocity runs over the whole range of speeds"),)
     source = "[G] (2), (3)"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: bends from the recording's top speed down to a fortieth of it."""
+        """Start values of theta: knee speeds from the recording's top speed down to a fortieth of it."""
         top = _top_speed(signals, joint)
         return [(factor / top,) for factor in (2.0, 4.0, 8.0, 16.0, 40.0)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: the bend lies inside the range of speeds that was driven."""
+        """Bounds of theta: the knee lies inside the range of driven speeds; see ``Effect.bounds``."""
         top = _top_speed(signals, joint)
         return [(1.5 / top, 80.0 / top)]
 
 
 class Stribeck(LawTerm):
-    """``tau = a_3 sign(qd) exp(-a_4 |qd|)`` with ``a_3 > 0`` ([G] (4), written for both directions).
+    """Stribeck friction ``tau = a_3 sign(qd) exp(-a_4 |qd|)`` with ``a_3 > 0`` ([G] (4), for both directions).
 
     theta is ``v_s = 1 / a_4``, the speed at which the excess has fallen to 37 %.
     """
@@ -122,25 +122,28 @@ class Stribeck(LawTerm):
     source = "[G] (4)"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: from a fiftieth of the top speed to a third of it."""
+        """Start values of theta: from a fiftieth of the top speed to a third of it; see ``Effect.starts``."""
         top = _top_speed(signals, joint)
         return [(top * factor,) for factor in (0.02, 0.05, 0.1, 0.2, 0.35)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: the fall is over within the range of speeds that was driven."""
+        """Bounds of theta: the decay ends within the range of driven speeds; see ``Effect.bounds``."""
         top = _top_speed(signals, joint)
         return [(0.01 * top, 0.5 * top)]
 
     def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
-        """See ``LawTerm.friction``. In units of ``v_s`` the law's ``a_4`` is one."""
+        """The friction term with a unit coefficient: in units of ``v_s`` the law's ``a_4`` is one.
+
+        See ``LawTerm.friction``.
+        """
         return self.law.columns(qd / theta[0], direction, np.ones(1))[self.term]
 
 
 class BellStribeck(Stribeck):
-    """``tau = a_3 sign(qd) exp(-(qd/v_s)²)``: friction is flat at standstill, and falls fastest about ``v_s``.
+    """Bell-shaped Stribeck friction ``tau = a_3 sign(qd) exp(-(qd/v_s)²)``: flat at standstill, steepest near ``v_s``.
 
     Which of the two forms a gear has is a matter of its lubricant and its surfaces: exponents from a half to two and
-    more are published. Of the one fitted by the other a rise near standstill is left that looks like ``degressive``.
+    more are published. If the wrong one of the two is fitted, the residual near standstill looks like ``degressive``.
     """
 
     law = laws.BellStribeck
@@ -149,15 +152,16 @@ class BellStribeck(Stribeck):
 
     @property
     def at_motor(self) -> bool:
-        """See ``Effect.at_motor``."""
+        """Whether the effect is a torque at the motor; see ``Effect.at_motor``."""
         return True
 
 
 class AsymmetricFriction(LawTerm):
-    """``tau = d_v |qd| + d_c sign(qd)^2``: half the differences of viscous and dry friction between the directions.
+    """Direction-dependent friction ``tau = d_v |qd| + d_c sign(qd)^2``: half the differences of both directions.
 
     With ``Fv+, Fv-`` for the two directions ``d_v = (Fv+ - Fv-)/2``, and likewise ``d_c``; while the joint moves
-    ``d_c`` cannot be told from a constant offset, so only the viscous part is evidence where an offset is fitted too.
+    ``d_c`` cannot be distinguished from a constant offset, so only the viscous part is evidence where an offset is
+    fitted too.
     """
 
     name = "asymmetric_friction"
@@ -167,16 +171,19 @@ class AsymmetricFriction(LawTerm):
     source = "A. Janot, M. Gautier, M. Brunot, data set EMPS: friction of a worn ball screw"
 
     def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
-        """See ``LawTerm.friction``. More in the one direction, as much less in the other."""
+        """The friction term with a unit coefficient: it adds in one direction what it subtracts in the other.
+
+        See ``LawTerm.friction``.
+        """
         forward, _, backward, _ = self.law.columns(qd, direction, np.array(theta))
         return forward - backward
 
 
 class LoadDependentFriction(Effect):
-    """``tau = mu |tau_load - I qdd| sign(qd)`` with ``mu > 0``: teeth pressed together by their load.
+    """Load-dependent friction ``tau = mu |tau_load - I qdd| sign(qd)`` with ``mu > 0``: the load presses the teeth.
 
-    theta is the inertia ``I`` that is counted among links but sits on the motor's side of the gear: motions tell the
-    sum of the two only, and what a gear carries is a matter of which is which.
+    theta is the inertia ``I`` that the model assigns to the links but that is on the motor's side of the gear: motions
+    determine only the sum, while the gear's load depends on the division.
     """
 
     name = "load_dependent_friction"
@@ -193,31 +200,31 @@ class LoadDependentFriction(Effect):
     source = "P. Hamon, M. Gautier, P. Garrec, IROS 2010: dry friction depending on load"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: the load has to vary, or the effect is Coulomb friction."""
+        """Whether the signals can show the effect: the load has to vary, or the effect is Coulomb friction."""
         load = np.abs(signals.borne(joint))
         return bool(np.std(load) > 0.05 * (np.mean(load) + 1e-12))
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: a tenth, half and most of what the load has of inertia."""
+        """Start values of theta: a tenth, half and most of the load's inertia; see ``Effect.starts``."""
         largest = _inertia_of_load(signals, joint)
         return [(share * largest,) for share in (0.1, 0.5, 0.9)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: from nothing to all."""
+        """Bounds of theta: from none to all of the load's inertia; see ``Effect.bounds``."""
         largest = _inertia_of_load(signals, joint)
         return [(1e-3 * largest, largest)]
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
-        """See ``Effect.bounds_near``. As the bounds: all of them are of one scale."""
+        """Bounds of theta near a start: the full bounds, as all values are of one scale; see ``Effect.bounds_near``."""
         return self.bounds(signals, joint)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         carried, direction = self.carried(signals, joint, theta), signals.sliding_direction(joint)
         return signals.on_joint(joint, laws.FrictionModel.by_load(carried, direction))
 
     def carried(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """What the teeth carry ``(N,)`` [N m]: the load and what else may be weight, without the inertia before them.
+        """Load of the teeth ``(N,)`` [N m]: load and possible weight, without the inertia on the motor's side.
 
         Args:
             signals, joint, theta: as of ``columns``, theta the inertia [kg m²].
@@ -228,15 +235,14 @@ class LoadDependentFriction(Effect):
 
 
 class LoadDirectionFriction(LoadDependentFriction):
-    """``tau = mu/2 (|tau_c| s + tau_c |s|)``, ``tau_c = tau_load - I qdd``, ``s = sign(qd)``, ``mu > 0``.
+    """Friction by load while driving only: ``tau = mu/2 (|tau_c| s + tau_c |s|)``, ``tau_c = tau_load - I qdd``.
 
-    That is ``mu tau_c`` where ``tau_c qd > 0``, so that the motor drives, and none where the load does: teeth lose more
-    in the one sense of power than in the other. What a gear loses in both is ``load_dependent_friction``; a gear that
-    has both laws shows both. theta is as there.
+    With ``s = sign(qd)`` and ``mu > 0`` that is ``mu tau_c`` where the motor drives (``tau_c qd > 0``), and zero where
+    the load drives. Losses in both senses are ``load_dependent_friction``; a gear may have both. theta is as there.
 
-    Half of it is a share of the load itself. Where the model's parameters or a gain can take that half the other one
-    alone is seen, which is ``load_dependent_friction`` of half the size: masses that other joints show, or that are
-    known, tell the two apart.
+    Half of it is proportional to the load itself. If the model's parameters or a gain absorb that half, only the other
+    one is seen, which is ``load_dependent_friction`` of half the size. Masses that are known, or seen in other joints,
+    distinguish the two.
     """
 
     name = "load_direction_friction"
@@ -251,17 +257,17 @@ class LoadDirectionFriction(LoadDependentFriction):
               "other where the load drives than where the motor does")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         carried, direction = self.carried(signals, joint, theta), signals.sliding_direction(joint)
         both = laws.FrictionModel.by_load(carried, direction)
         return signals.on_joint(joint, 0.5 * (both + carried * np.abs(direction)))
 
 
 class PreslidingHysteresis(Effect):
-    """``tau = F (z - sign(qd))`` with Dahl's ``z``: dry friction lags behind the reversal by a displacement ``sigma``.
+    """Presliding hysteresis ``tau = F (z - sign(qd))``, Dahl's ``z``: friction lags a reversal by a distance ``sigma``.
 
-    The column is the difference to Coulomb friction, so that the coefficient is the dry friction that hysteresis takes
-    part in; fitted jointly with Coulomb friction itself.
+    The column is the difference to Coulomb friction, so that the coefficient is the part of dry friction that has
+    hysteresis; fitted jointly with Coulomb friction itself.
     """
 
     usual = 1.0
@@ -279,37 +285,38 @@ class PreslidingHysteresis(Effect):
     source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: distances from which the search begins: fractions of the joint's driven range."""
+        """Start values of theta: fractions of the joint's driven range; see ``Effect.starts``."""
         return [(signals.span(joint) * factor,) for factor in (0.002, 0.006, 0.02, 0.06)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``.
+        """Physical bounds of each theta; see ``Effect.bounds``.
 
-        Least and largest distance: far below the joint's driven range, else the effect is a spring.
+        The distance is far below the joint's driven range; otherwise the effect would be a spring.
         """
         return [(0.0005 * signals.span(joint), 0.15 * signals.span(joint))]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         z = dahl(np.ascontiguousarray(signals.q[:, joint - 1]), theta[0])
         return signals.on_joint(joint, z - signals.sliding_direction(joint))
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Friction builds up over the displacement."""
+        """The change of the loop: friction builds up over the displacement; see ``Effect.loop_change``."""
         return LoopChange(presliding=theta[0])
 
 
 class WarmingEffect(Effect):
-    """An effect that grows with warmth ``w``: the temperature above that of the start [K], or ``w = 1 - exp(-t/T)``.
+    """An effect in proportion to warming ``w``: the temperature above the start's [K], or ``w = 1 - exp(-t/T)``.
 
-    The latter is the warm-up of a first-order body. theta is ``T``; ``T = 0`` stands for "by temperature".
+    The latter is the warm-up of a first-order body. theta is ``T``; ``T = 0`` means that the measured temperature is
+    used.
     """
 
     theta_names = ("T",)
     theta_units = ("s",)
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: time constants of a tenth to three times the recording; temperature if it varies."""
+        """Start values of theta: time constants of a tenth to three times the recording; temperature if it varies."""
         span = float(signals.t[-1] - signals.t[0])
         starts: list[Theta] = [(span * factor,) for factor in (0.1, 0.3, 1.0, 3.0)]
         if signals.temperature is not None and float(np.ptp(signals.temperature[:, joint - 1])) > 0.5:
@@ -317,15 +324,15 @@ class WarmingEffect(Effect):
         return starts
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``.
+        """Physical bounds of each theta; see ``Effect.bounds``.
 
-        Faster than a twentieth of the recording is no warming, slower than four times it is a straight line.
+        Faster than a twentieth of the recording is not warming; slower than four times its length is a straight line.
         """
         span = float(signals.t[-1] - signals.t[0])
         return [(0.05 * span, 4.0 * span)]
 
     def warmth(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """``w (N,)`` [1 or K]; none by a temperature that was not measured.
+        """The warming ``w (N,)`` [1 or K]; zero for a temperature that was not measured.
 
         Args:
             signals, joint, theta: as of ``columns``, theta being ``T`` [s].
@@ -338,7 +345,7 @@ class WarmingEffect(Effect):
 
 
 class ThermalDrift(WarmingEffect):
-    """Viscous and dry friction change with the gear's warmth: ``tau = w (d_v qd + d_c sign(qd))``."""
+    """Change of viscous and dry friction with the gear's temperature: ``tau = w (d_v qd + d_c sign(qd))``."""
 
     name = "thermal_drift"
     coefficient_names = ("change of viscous friction", "change of Coulomb friction")
@@ -348,22 +355,24 @@ class ThermalDrift(WarmingEffect):
                "recording began; method adapted follows friction while the arm works")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        """Columns of shape ``(N, n, 2)``; see ``Effect.columns``."""
         warm = self.warmth(signals, joint, theta)
         friction = laws.ViscousCoulomb.columns(signals.qd[:, joint - 1], signals.sliding_direction(joint), np.empty(0))
         return signals.on_joint(joint, *(warm * column for column in friction))
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. A gear that warms up loses friction, slow or fast; [G] Fig 12 has it rise nowhere.
+        """Whether the coefficients are possible: a gear that warms up loses friction at all speeds ([G] Fig. 12).
 
-        Less at one end of the speeds and more at the other is another curve over speed, not another temperature.
+        See ``Effect.plausible``.
+
+        A change of sign over speed is another friction curve, not another temperature.
         """
         top = signals.top_speed(joint)
         slow, fast = float(coefficients[1]), float(coefficients[1] + coefficients[0] * top)
         return slow * fast > -_TURNS * max(slow**2, fast**2)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. Changes per kelvin where temperature was used."""
+        """The numbers to report: changes per kelvin where temperature was used; see ``Effect.parameters``."""
         if theta[0] > 0.0:
             return super().parameters(coefficients, std, theta, theta_std)
         units = ("N m s/(rad K)", "N m/K")
@@ -372,40 +381,43 @@ class ThermalDrift(WarmingEffect):
 
 
 class Warmth(WholeArmEffect):
-    """All gears are colder, or warmer, than when the model was identified: ``tau = d F_j z_j + f (tau_f,j - F_j z_j)``.
+    """Temperature of all gears differs from the identification: ``tau = d F_j z_j + f (tau_f,j - F_j z_j)``.
 
-    Oil and seals of all joints change together with what the hall and the hours do to them: dry friction by one share,
-    what rises with speed by another. What a joint has of its own is its friction's.
+    Oil and seals of all joints change together: dry friction by one share, the speed-dependent part by another.
+    Differences of single joints belong to their own friction.
     """
 
     name = "warmth"
     coefficient_names = ("change of dry friction", "change of friction that rises with speed")
     coefficient_units = ("1", "1")
     absorbed_by_base = True
-    prior = 1.0  # An arm is cold every morning.
+    prior = 1.0  # Arms are often colder than in the identification.
     source = "[G] Figs 3, 12"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: the model has to have friction."""
+        """Whether the signals can show the effect: the model has to have friction; see ``Effect.usable``."""
         return signals.dry is not None and bool(np.any(signals.dry > 0.0))
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        """Columns of shape ``(N, n, 2)``; see ``Effect.columns``."""
         if signals.dry is None:
             return np.zeros((len(signals.t), signals.n, 2))
         dry = signals.dry * np.column_stack([signals.sliding_direction(j + 1) for j in range(signals.n)])
         return np.stack([dry, signals.friction - dry], axis=2)
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. Over 20 K dry friction differs by a tenth or two, the rest by half ([G] Fig. 12)."""
+        """Prior covariance: over 20 K dry friction differs by 10 to 20 %, the rest by half ([G] Fig. 12)."""
         return np.diag([0.3**2, 1.0])
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Friction brakes, and what rises with speed falls or grows with oil's viscosity."""
+        """Whether the coefficients are possible: total friction still brakes at all speeds.
+
+        See ``Effect.plausible``.
+        """
         return bool(-1.0 < coefficients[0] < 2.0 and -1.0 < coefficients[1] < 5.0)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Friction of all joints."""
+        """The change of the loop: friction of all joints; see ``Effect.loop_change``."""
         return LoopChange(friction_shares=(coefficients[0], coefficients[1]))
 
 

@@ -1,4 +1,4 @@
-"""Kinematics: joints whose zeros or places are elsewhere than the drawings say, links that grow with warmth."""
+"""Kinematic effects: wrong zeros and places of joints, links that grow with temperature."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ideal_robot.effects.signals import LEVER, Signals
 
 
 class ZeroError(Effect):
-    """The true angle is ``q_j + e``: ``delta tau = e d tau_rigid/d q_j`` on all joints; gravity betrays it.
+    """Zero error of a joint: the true angle is ``q_j + e``, ``delta tau = e d tau_rigid/d q_j`` on all joints.
 
-    Masses that are free to change take most of it, so it is looked for against a model known before.
+    Free masses would absorb most of it, so it is only searched with a given model.
     """
 
     name = "zero_error"
@@ -26,20 +26,20 @@ class ZeroError(Effect):
     source = "derivative of [G] (5) by one angle"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: the rigid body has to be known as a function, and the angle has to matter to it."""
+        """Whether the signals can show the effect: they need a rigid-body function that depends on the angle."""
         if signals.rigid is None:
             return False
         return bool(np.max(np.abs(self.columns(signals, joint, ()))) > 1e-6 * np.max(np.abs(signals.load)) + 1e-12)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         if signals.derivatives is None:
             return np.zeros((len(signals.t), signals.n, 1))
         return signals.derivatives.by(joint)[0][:, :, None]
 
 
 class GeometryChange(Effect):
-    """A change of the arm's geometry, which another joint's may reproduce where axes are parallel."""
+    """A change of the arm's geometry; with parallel axes another joint's may be equivalent."""
 
     domain = TCP_POSITION
 
@@ -50,7 +50,7 @@ class KinematicError(GeometryChange):
         delta x = da x_j + dd z_j + dalpha x_j × (x - p_j) + dtheta z_j × (x - p_j)
 
     ``x_j`` is the common normal of the joint's axis and the next one; it turns with the joint. ``d`` and ``theta`` of
-    the first joint are left out: they are where the measuring device stands.
+    the first joint are left out: they are equivalent to the place of the measuring device.
     """
 
     name = "kinematic_error"
@@ -60,7 +60,7 @@ class KinematicError(GeometryChange):
     source = "J. Denavit, R. S. Hartenberg 1955; first-order kinematic calibration"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, 3, 4)``."""
+        """Columns of shape ``(N, 3, 4)``; see ``Effect.columns``."""
         frames = signals.frames
         if frames is None:
             return np.zeros((len(signals.t), 3, 4))
@@ -73,13 +73,13 @@ class KinematicError(GeometryChange):
         return columns
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. Those that can be seen at all."""
+        """The numbers to report: only those that the measurements can show; see ``Effect.parameters``."""
         every = super().parameters(coefficients, std, theta, theta_std)
         return [parameter for parameter in every if parameter.value != 0.0]
 
 
 class ThermalGrowth(GeometryChange, WarmingEffect):
-    """The link behind a joint grows with warmth: ``delta x = e w (p_(j+1) - p_j)``."""
+    """Thermal growth of the link behind a joint: ``delta x = e w (p_(j+1) - p_j)``."""
 
     name = "thermal_growth"
     coefficient_names = ("strain",)
@@ -89,7 +89,7 @@ class ThermalGrowth(GeometryChange, WarmingEffect):
                "recording began, and the positional interface gives no temperature")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, 3, 1)``."""
+        """Columns of shape ``(N, 3, 1)``; see ``Effect.columns``."""
         frames = signals.frames
         if frames is None:
             return np.zeros((len(signals.t), 3, 1))
@@ -97,7 +97,7 @@ class ThermalGrowth(GeometryChange, WarmingEffect):
         if joint < signals.n:
             end, axis = frames.position[:, joint], frames.axis[:, joint]
             if np.allclose(frames.jacobian[:, :, joint], axis, atol=1e-9):
-                # Behind the link a joint slides: its way is no length of the link.
+                # The displacement of a prismatic joint behind the link is not part of the link's length.
                 end = end - axis * signals.q[:, joint, None]
         warm = self.warmth(signals, joint, theta)
         return np.asarray(((end - frames.position[:, joint - 1]) * warm[:, None])[:, :, None])

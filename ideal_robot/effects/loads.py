@@ -1,4 +1,4 @@
-"""Gravity and load: bodies that the model does not know, springs against gravity, a base that leans."""
+"""Effects of gravity and loads: unknown bodies, springs against gravity, a tilted base."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _NEAR = 0.1
 
 
 class LinkLoad(Effect):
-    """Mass, first moments and inertias added to one link, [G] (5) with its columns; against a model known before.
+    """Mass, first moments and inertias added to one link, [G] (5); only with a given model.
 
-    A body away from the axis turns with it: without its inertia a load on the first links would be looked for further
-    out. On the last link it is a payload. Of the mass and the lever often the product alone shows, so the numbers are
-    reported as they are.
+    A body away from the axis needs its inertia: without it a load on the first links would be placed further out. On
+    the last link it is a ``Payload``. Often only the product of mass and lever is determined, so the parameters are
+    reported as fitted.
     """
 
-    prior = -1.1  # Links are not changed; one of three that seem so is.
+    prior = -1.1  # Links are hardly ever changed.
     name = "link_load"
     coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
@@ -39,25 +39,28 @@ class LinkLoad(Effect):
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:
-        """See ``Effect.joints``: all links but the last."""
+        """Joints with the effect: all links but the last; see ``Effect.joints``."""
         yield from range(1, signals.n)
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: the regressor of the links has to be known."""
+        """Whether the signals can show the effect: they need the regressor of the links; see ``Effect.usable``."""
         return signals.bodies is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
+        """Columns of shape ``(N, n, 10)``; see ``Effect.columns``."""
         if signals.bodies is None:
             return np.zeros((len(signals.t), signals.n, 10))
         return np.asarray(signals.bodies(joint))
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. Some kilograms at some decimetres."""
+        """Prior covariance of the coefficients: some kilograms at some decimetres; see ``Effect.spread``."""
         return np.diag(np.square([_MASS] + 3 * [_MASS * _LEVER] + 6 * [_MASS * _LEVER**2]))
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
+        """Whether the coefficients are possible: the lever is within the arm's size.
+
+        See ``Effect.plausible``.
+        """
         return bool(np.any(np.abs(coefficients) > 1e-9))
 
 
@@ -73,23 +76,23 @@ class Payload(WholeArmEffect, LinkLoad):
     It acts on all joints, so it belongs to the whole arm (joint 0).
     """
 
-    prior = 3.0  # Tools are changed, links are not.
+    prior = 3.0  # Tools are often changed, links are not.
     name = "payload"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: the regressor of the last link has to be known."""
+        """Whether the signals can show the effect: they need the regressor of the last link; see ``Effect.usable``."""
         return signals.payload is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
+        """Columns of shape ``(N, n, 10)``; see ``Effect.columns``."""
         if signals.payload is None:
             return np.zeros((len(signals.t), signals.n, 10))
         return signals.payload
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. What is carried hangs at the tool, its centre some decimetre from it.
+        """Prior covariance of the coefficients: the payload hangs at the tool, its centre some decimetres from it.
 
-        No joint gets more from it than the arm asks of that joint anyway.
+        Its torque in each joint is at most as large as the arm's own.
         """
         if signals.tool is None or signals.payload is None:
             return super().spread(signals, joint)
@@ -105,15 +108,15 @@ class Payload(WholeArmEffect, LinkLoad):
         return np.asarray(ways @ ways.T + own)
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``.
+        """Whether the coefficients are possible; see ``Effect.plausible``.
 
-        A body has mass, or one has been taken off: its first moments then share the sign of a plausible lever.
+        The mass is positive, or negative for a removed body; the first moments then have a plausible lever.
         """
         mass, first = float(coefficients[0]), float(np.linalg.norm(coefficients[1:4]))
         return abs(mass) > 1e-9 and first < 3.0 * abs(mass) + 1e-9
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. Mass, and the centre in the frame of the last joint."""
+        """The numbers to report: mass, and the centre in the frame of the last joint; see ``Effect.parameters``."""
         m = float(coefficients[0])
         centre = [EffectParameter(f"c_{axis}", float(coefficients[i + 1]) / m,
                                   float(np.hypot(std[i + 1] / m, coefficients[i + 1] * std[0] / m**2)), "m")
@@ -122,14 +125,14 @@ class Payload(WholeArmEffect, LinkLoad):
 
 
 class BaseTilt(WholeArmEffect):
-    """Gravity has components across the base frame's z axis: ``tau = g_x tau_x(q) + g_y tau_y(q)``.
+    """Tilted base: gravity has components across the base's z axis, ``tau = g_x tau_x(q) + g_y tau_y(q)``.
 
-    ``tau_x`` is what the rigid body feels of 1 m/s² of gravity along the base's x axis, so the effect needs no inertia
-    of its own: one cause for all joints (joint 0). To first order in the angle; a turn about the vertical is none.
+    ``tau_x`` is the rigid body's torque under 1 m/s² of gravity along the base's x axis: one cause for all joints
+    (joint 0), to first order in the angle. A rotation about the vertical has no effect.
 
-    About a first axis that stood upright, gravity did nothing and no motion told the first moments: of these a model
-    has what the URDF says. Leaning, they turn that axis by ``c cos q_1 + s sin q_1``, [G] (5), beside what the links
-    further out do; both numbers are free, up to the moment that the whole arm has about the axis.
+    About a vertical first axis gravity does nothing, and no motion determines the first moments, for which a model has
+    the URDF's. On a tilted base they load that axis by ``c cos q_1 + s sin q_1``, [G] (5); both numbers are free, up to
+    the moment of the whole arm about the axis.
     """
 
     name = "base_tilt"
@@ -138,11 +141,11 @@ class BaseTilt(WholeArmEffect):
     source = "[G] (5) with another direction of gravity"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: where gravity across the axis is known, and another joint excludes springs."""
+        """Whether the signals can show it: they need torques of horizontal gravity, and a second joint."""
         return signals.n > 1 and signals.gravity_across is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 4)``."""
+        """Columns of shape ``(N, n, 4)``; see ``Effect.columns``."""
         result = np.zeros((len(signals.t), signals.n, 4))
         if signals.across is None:
             return result
@@ -152,7 +155,10 @@ class BaseTilt(WholeArmEffect):
         return result
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Below 15°; what hangs from a wall or a ceiling is mounted so on purpose."""
+        """Whether the coefficients are possible: the angle is below 15°; a larger one is a mounting on purpose.
+
+        See ``Effect.plausible``.
+        """
         across, unknown = np.hypot(*coefficients[:2]), np.hypot(*coefficients[2:])
         if unknown > 0.0 and signals.across is not None:
             known = np.linalg.norm(signals.across[:, 0], axis=1)
@@ -161,7 +167,7 @@ class BaseTilt(WholeArmEffect):
         return bool(across < math.sin(math.radians(15.0)) * G)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The angle, and where the base's z axis leans to, gravity with it."""
+        """The numbers to report: the angle and direction of the base's tilt; see ``Effect.parameters``."""
         x, y = (float(v) for v in coefficients[:2])
         size = float(np.hypot(x, y))
         across = float(np.hypot(x * std[0], y * std[1]) / max(size, 1e-12))
@@ -170,35 +176,36 @@ class BaseTilt(WholeArmEffect):
                 EffectParameter("direction", float(np.arctan2(y, x)), along, "rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Gravity from elsewhere; the moments are the URDF's."""
+        """The change of the loop: tilted gravity; the first moments are the URDF's; see ``Effect.loop_change``."""
         return LoopChange(gravity=(coefficients[0], coefficients[1]))
 
 
 class AngleLaw(Effect):
-    """A function of its joint's angle alone: a learned curve that is needed beside it says that its form is wrong."""
+    """A function of its joint's angle alone; if a learned curve is needed beside it, its form is wrong."""
 
 
 class CableSpring(AngleLaw):
-    """``tau = k q``: a linear spring on one joint, a cable or hose; its rest position goes into the constant offset."""
+    """A linear spring on one joint, such as a cable or hose: ``tau = k q``; its rest position is in the offset."""
 
     name = "cable_spring"
     coefficient_names = ("stiffness",)
     coefficient_units = ("N m/rad",)
-    # The motor works against the pull: a spring holds back, it does not push on.
+    # The motor works against the pull: a spring resists, it does not drive.
     within = (0.0, np.inf)
     source = "hose packs and cables along the arm"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        """Columns of shape ``(N, n, 1)``; see ``Effect.columns``."""
         return signals.on_joint(joint, signals.q[:, joint - 1])
 
 
 class SlackCable(AngleLaw):
-    """A cable or hose with slack, which pulls where it is taut, and the more so the further it is drawn.
+    """A cable or hose with slack, which pulls where it is taut, progressively with its extension.
 
         tau = k (x - y) + k_2 (x² - y²),   x = max(q - q_above, 0),   y = max(q_below - q, 0)
 
-    Between ``q_below`` and ``q_above`` it hangs. Most pull on one side only: then the motion does not reach the other.
+    Between ``q_below`` and ``q_above`` it is slack. Most cables pull on one side only; the other bound is then outside
+    the motion.
     """
 
     name = CableSpring.name
@@ -211,33 +218,36 @@ class SlackCable(AngleLaw):
 
     @property
     def at_motor(self) -> bool:
-        """See ``Effect.at_motor``."""
+        """Whether the effect is a torque at the motor; see ``Effect.at_motor``."""
         return True
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: taut on either side alone, from six places of what the joint turned, and on both."""
+        """Start values of theta: taut on one side, from six places of the range, and taut on both sides."""
         (never, _), (_, nor) = self.bounds(signals, joint)
         low, turned = float(signals.q[:, joint - 1].min()), float(np.ptp(signals.q[:, joint - 1]))
         places = [low + share * turned for share in (0.1, 0.26, 0.42, 0.58, 0.74, 0.9)]
         return [*((never, place) for place in places), *((place, nor) for place in places), (places[1], places[4])]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``.
+        """Physical bounds of each theta; see ``Effect.bounds``.
 
-        Within what the joint turned, or as far again beyond it, where the motion does not reach.
+        Within the joint's range in the motion, or as far again beyond it.
         """
         q = signals.q[:, joint - 1]
         low, high = float(q.min()), float(q.max())
         return [(2.0 * low - high, high), (low, 2.0 * high - low)]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        """Columns of shape ``(N, n, 2)``; see ``Effect.columns``."""
         q = signals.q[:, joint - 1]
         above, below = np.maximum(q - max(theta), 0.0), np.maximum(min(theta) - q, 0.0)
         return signals.on_joint(joint, above - below, above**2 - below**2)
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. It pulls back, drawn as far as it was and half of that."""
+        """Whether the coefficients are possible: it pulls back everywhere up to 1.5 times its extension.
+
+        See ``Effect.plausible``.
+        """
         q, (k, growth) = signals.q[:, joint - 1], coefficients
         furthest = max(float(q.max()) - max(theta), min(theta) - float(q.min()), 0.0)
         return bool(min(k + growth * furthest, k + 0.5 * growth * furthest) > 0.0)
@@ -252,10 +262,10 @@ class GravitySpring(AngleLaw):
 
         tau = c_1 sin(q - phi) + c_2 sin(q - phi) (1 / l - 1 / l_0) .
 
-    ``c_1`` is the torque at a right angle, which is like gravity's; how it deviates from a sine comes from the preload.
+    ``c_1`` is the torque at a right angle, which is like gravity's; the deviation from a sine comes from the preload.
     """
 
-    prior = -2.0  # Few arms have one, and in one joint.
+    prior = -2.0  # Few arms have one, and only in one joint.
     name = "gravity_spring"
     theta_names = ("phi", "rho")
     theta_units = ("rad", "1")
@@ -267,37 +277,37 @@ class GravitySpring(AngleLaw):
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``: eight directions, two lever ratios."""
+        """Start values of theta: eight directions, two lever ratios; see ``Effect.starts``."""
         return [(float(phi), rho) for phi in np.arange(8) * np.pi / 4 for rho in (0.35, 0.7)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``.
+        """Physical bounds of each theta; see ``Effect.bounds``.
 
         Any direction; levers neither equal (the spring would vanish) nor one of them zero (no torque).
         """
         return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``Effect.usable``: where gravity acts on the joint, as nothing else is balanced."""
+        """Whether the signals can show the effect: gravity has to act on the joint; see ``Effect.usable``."""
         if signals.weight is None:
             return True
         size = np.abs(signals.weight).max(axis=0)
         return bool(size[joint - 1] > _UPRIGHT * size.max())
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        """Columns of shape ``(N, n, 2)``; see ``Effect.columns``."""
         phi, rho = theta
         angle = signals.q[:, joint - 1] - phi
         length = np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle))
         return signals.on_joint(joint, np.sin(angle), np.sin(angle) * (1.0 / length - 1.0 / np.sqrt(1.0 + rho**2)))
 
     def like_the_model(self, signals: Signals, joint: int) -> Array:
-        """See ``Effect.like_the_model``. Gravity's two components, turned with the joint."""
+        """Gravity's two components over the joint's angle, which the model has, too; see ``Effect.like_the_model``."""
         q = signals.q[:, joint - 1]
         return signals.on_joint(joint, np.sin(q), np.cos(q))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. As they are, with the angle within one turn."""
+        """The numbers to report: as fitted, with the angle within one turn; see ``Effect.parameters``."""
         parameters = super().parameters(coefficients, std, theta, theta_std)
         angle = parameters[2]
         return [*parameters[:2], EffectParameter(angle.name, float(np.angle(np.exp(1j * angle.value))), angle.std,

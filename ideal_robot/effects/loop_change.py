@@ -1,4 +1,4 @@
-"""What an effect changes in the identified loop and in the arm behind it."""
+"""Changes that an effect makes to the identified loop and to the arm behind it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ def _place(words: str, default: Any) -> Any:
 
 @dataclass(frozen=True)
 class LoopChange:
-    """The change that an effect makes to the closed loop; what is not given stays as it is.
+    """The change that an effect makes to the closed loop; parts that are not given stay unchanged.
 
     Attributes:
-        torque: whether its torque, as it stands, joins what the motor has to give.
+        torque: whether its torque is added to the motor torque.
         friction_curve: whether the effect's torque at constant speed adds to the friction over speed.
-        friction_shares: added to dry friction of all joints, and to what rises with speed, as shares of it [1].
+        friction_shares: relative changes of all joints' dry friction and of their speed-dependent friction [1].
         friction_per_load: added to the friction per torque at the gear output [1].
         friction_per_driven_load: the same where the motor drives the load, and nothing where the load drives it [1].
         presliding: displacement over which friction builds up after a reversal, at least [rad].
@@ -28,18 +28,18 @@ class LoopChange:
         body: parameters added to the effect's link, to the last one for the whole arm: mass [kg], first moments [kg m],
             inertias [kg m²] as in [G] (5); those left out are zero.
         gravity: added to gravity along the base's x and y axes [m/s²].
-        gear_compliance: of the whole gear, in place of what was known [rad/(N m)].
-        further_compliance: of the gear beyond what was known [rad/(N m)].
+        gear_compliance: of the whole gear, replacing the known one [rad/(N m)].
+        further_compliance: of the gear in addition to the known one [rad/(N m)].
         from_arm_angle: whether a compliance follows from measured arm angles, which say it better than anything else.
-        half_gap: half the play of the gear [rad].
-        gap_load: load over which the play is crossed [N m]; 0 where the direction of motion decides.
-        uneven: order [1/rad], cosine and sine part [rad] of what the arm turns beyond the motor.
+        half_gap: half the backlash of the gear [rad].
+        gap_load: load over which the gap is crossed [N m]; 0 where the direction of motion decides.
+        uneven: order [1/rad], cosine and sine part [rad] of the arm angle relative to the motor angle.
         zero: true angle less the encoder's [rad].
         geometry: shifts ``a``, ``d`` [m] and turns ``alpha``, ``theta`` [rad] of all that is behind the joint.
         stamps: whether a camera's pictures were taken at other times than are stamped, see ``CameraErrors``.
         points: whether the points that a camera measures are off, see ``CameraErrors``.
-        wrench: what a force sensor shows when nothing touches the tool [N, N m].
-        give: compliance of tool, sensor and surface beyond what is assumed [m/N].
+        wrench: reading of a force sensor without contact [N, N m].
+        give: compliance of tool, sensor and surface beyond the assumed one [m/N].
         nowhere: why it does not act; empty where it does.
     """
 
@@ -72,7 +72,7 @@ class LoopChange:
 
     @property
     def of_gear(self) -> bool:
-        """Whether it is what a gear gives, or its play."""
+        """Whether it changes the gear's compliance or backlash."""
         return self.gear_compliance is not None or self.further_compliance is not None or bool(self.half_gap)
 
     @property

@@ -1,6 +1,6 @@
-"""The library of effects: one table, and the way in for effects of other packages.
+"""The library of effects: one table, and the registration of effects from other packages.
 
-How one is added stands at ``ideal_robot.effects.base.Effect``; an entry point of another package is
+The class to write is ``ideal_robot.effects.base.Effect``; an entry point of another package is
 
     [project.entry-points."ideal_robot.effects"]
     "my_effect/tau" = "my_package.my_effect:MyEffect"
@@ -83,13 +83,13 @@ def register(effect: Effect) -> None:
 
 
 def unregister(effect: Effect) -> None:
-    """Takes out what ``register`` added."""
+    """Removes an effect that ``register`` added."""
     EFFECTS.unregister(effect.key)
     _made.pop(effect.key, None)
 
 
 def library() -> tuple[Effect, ...]:
-    """All effects; the same cause may stand there several times, once for each place where it shows."""
+    """All effects; a cause occurs once for each place where it shows."""
     return tuple(_effect(key) for key in EFFECTS.names())
 
 

@@ -1,4 +1,4 @@
-"""Gears and motors that do not turn evenly: what repeats with the joint's position."""
+"""Effects of uneven gears and motors, which repeat with the joint's position."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _FEW = 4.5
 
 
 class TorqueRipple(Effect):
-    """``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre) from the data.
+    """Torque ripple ``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre).
 
-    The order is found by scanning the residual over position. With fewer than two periods within the range that was
-    driven nothing shows that it repeats.
+    The order is found by scanning the residual over position. With fewer than two periods in the driven range a
+    repetition cannot be seen.
     """
 
     name = "torque_ripple"
@@ -32,9 +32,9 @@ class TorqueRipple(Effect):
     least_periods: ClassVar[float] = 2.0
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """See ``Effect.starts``.
+        """Start values of theta within the physical bounds; see ``Effect.starts``.
 
-        Orders on a grid of a third of a period over the range; the residual narrows them down.
+        Orders on a grid of a third of a period over the range; ``starts_from_residual`` narrows them down.
         """
         low, high = self.bounds(signals, joint)[0]
         span = signals.span(joint)
@@ -42,9 +42,9 @@ class TorqueRipple(Effect):
         return [(float(order),) for order in np.linspace(low, high, count)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """See ``Effect.bounds``: from a few periods in the range to what the slowest quarter's sampling resolves.
+        """Bounds of theta: from a few periods in the range to what the slowest quarter's sampling resolves.
 
-        What is too fast for the band in the rest of it is taken out of columns and residual alike.
+        Where the motion is too fast for the band, the wave is removed from columns and residual alike.
         """
         span = signals.span(joint)
         speed = np.abs(signals.qd[:, joint - 1])
@@ -55,15 +55,20 @@ class TorqueRipple(Effect):
         return [(low, min(high, low + 3000.0 * 2.0 / span))]
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
-        """See ``Effect.bounds_near``. Within half a period over the range, where the scan's peak is."""
+        """Bounds of theta near a start: within half a period over the range around the scan's peak.
+
+        See ``Effect.bounds_near``.
+        """
         width = 1.5 / float(np.ptp(signals.q[:, joint - 1]))
         return [(max(theta[0] - width, self.bounds(signals, joint)[0][0]), theta[0] + width)]
 
     def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
                              use: np.ndarray) -> tuple[list[Theta], int]:
-        """See ``Effect.starts_from_residual``. Orders at the highest peaks of the residual's spectrum over position.
+        """Start values of theta from a residual: orders at the highest peaks of the residual's spectrum over position.
 
-        Slow ones have their own peak: what bends over the range would else be all that is seen.
+        See ``Effect.starts_from_residual``.
+
+        Low orders have a peak of their own, as slow curves over the range would otherwise dominate.
         """
         low, high = self.bounds(signals, joint)[0]
         part, counts = self.visible_part(signals, joint, residual, use)
@@ -77,7 +82,7 @@ class TorqueRipple(Effect):
 
     def visible_part(self, signals: Signals, joint: int, residual: Array,
                      use: np.ndarray) -> tuple[Array, np.ndarray]:
-        """What of a residual a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``.
+        """Part of a residual that a ripple of this joint could cause ``(N,)``, and the samples that are used ``(N,)``.
 
         Args:
             signals, joint, residual, use: as of ``Effect.starts_from_residual``.
@@ -85,22 +90,22 @@ class TorqueRipple(Effect):
         return residual[:, joint - 1], use[:, joint - 1]
 
     def wave(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """Cosine and sine over the joint's position ``(N, 2)``.
+        """Cosine and sine of the order times the joint's position ``(N, 2)``.
 
         Args:
             signals, joint, theta: as of ``columns``, theta the order [1/rad].
         """
         turns = theta[0] / (2.0 * np.pi) * signals.q[:, joint - 1]
-        # Within a turn sines take half the time.
+        # Reducing the argument to one turn halves the time of the sines.
         phase = 2.0 * np.pi * (turns - np.round(turns))
         return np.stack([np.cos(phase), np.sin(phase)]).T
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        """Columns of shape ``(N, n, 2)``; see ``Effect.columns``."""
         return signals.on_joint(joint, *self.wave(signals, joint, theta).T)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. Amplitude, phase and order."""
+        """The numbers to report: amplitude, phase and order; see ``Effect.parameters``."""
         a, b = (float(v) for v in coefficients)
         size = float(np.hypot(a, b))
         sigma = float(np.hypot(a * std[0], b * std[1]) / max(size, 1e-12))
@@ -109,27 +114,29 @@ class TorqueRipple(Effect):
                 EffectParameter("order", theta[0], theta_std[0] if theta_std else 0.0, "1/rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The ripple itself."""
+        """The change of the loop: the motor's torque ripple; see ``Effect.loop_change``."""
         return LoopChange(ripple=(theta[0], coefficients[0], coefficients[1]))
 
 
 class TransmissionError(TorqueRipple):
-    """``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, of the position instead of the torque."""
+    """Transmission error ``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, but of the position."""
 
     name = "transmission_error"
     domain = ARM_POSITION
     coefficient_units = ("rad", "rad")
-    # Fewer are how bodies bend a gear over the range.
+    # Fewer periods would fit the gear's deflection over the range.
     least_periods = _FEW
     source = "kinematic error of gears, k a multiple of the gear ratio"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """See ``shows_gear``."""
+        """Whether the channels are measured behind the joint's gear; see ``shows_gear``."""
         return shows_gear(self.domain, signals, joint)
 
     def visible_part(self, signals: Signals, joint: int, residual: Array,
                      use: np.ndarray) -> tuple[Array, np.ndarray]:
-        """See ``TorqueRipple.visible_part``.
+        """Part of the residual that a transmission error of this joint could cause ``(N,)``, and used samples.
+
+        See ``TorqueRipple.visible_part``.
 
         Residual of the TCP ``(N, 3)`` along the joint's motion, so that its spectrum is that of the angle.
         """
@@ -141,30 +148,30 @@ class TransmissionError(TorqueRipple):
         return np.asarray(np.einsum("ki,ki->k", lever, residual)), np.all(use, axis=1)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 2)``, at the TCP ``(N, 3, 2)``."""
+        """Columns of shape ``(N, n, 2)``, at the TCP ``(N, 3, 2)``; see ``Effect.columns``."""
         return turned_arm(self.domain, signals, joint, self.wave(signals, joint, theta))
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The gear turns unevenly."""
+        """The change of the loop: the uneven transmission of the gear; see ``Effect.loop_change``."""
         return LoopChange(uneven=(theta[0], coefficients[0], coefficients[1]))
 
 
 def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float, float],
                    peaks: int = 3) -> tuple[list[float], int]:
-    """Orders at the highest peaks of a residual's spectrum over position, and how many periods the band has room for.
+    """Orders at the highest peaks of a residual's spectrum over position, and the number of periods in the band.
 
     The residual is summed in narrow bins of position; the Fourier transform of those sums is that of the residual at
     the (unevenly spread) positions.
 
     Args:
         q, residual: position ``(N,)`` [rad or m], and the residual there ``(N,)``, in any unit.
-        use: samples that count ``(N,)``.
+        use: samples that are used ``(N,)``.
         band: lowest and highest order [1/rad or 1/m].
         peaks: how many, the highest first.
     """
     low, high = band
     span = float(np.ptp(q)) + 1e-12
-    # Fine enough that a bin is an eighth of the shortest period.
+    # Fine enough for eight bins per shortest period.
     count = int(np.clip(8.0 * high * span / (2.0 * np.pi), 64, 1 << 17))
     index = np.clip(((q - q.min()) / span * count).astype(int), 0, count - 1)
     sums = np.bincount(index, residual * use, count)

@@ -1,4 +1,4 @@
-"""What effects look at: the signals of a recording, or of a motion, on one time grid."""
+"""Signals that effects use: those of a recording, or of a motion, on one time grid."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ class Frames:
 
 
 def constant_of_weight(offset: Array, weight: Array) -> Array:
-    """What of constant torques may be weight ``(n,)``: all where gravity turns the joint, none elsewhere.
+    """Constant torques that may be weight ``(n,)``: all where gravity acts on the joint, zero elsewhere.
 
     Args:
         offset: constant torque of the motors ``(n,)`` [N m].
-        weight: what gravity asks of the motors along a motion ``(N, n)`` [N m].
+        weight: gravity torques of the motors along a motion ``(N, n)`` [N m].
     """
     size = np.max(np.abs(weight), axis=0, initial=0.0)
     return np.asarray(np.where(size > _WEIGHTLESS * np.max(size, initial=0.0), offset, 0.0))
 
 
 class RigidDerivatives:
-    """Derivatives by one joint after the other, each computed once as far as memory allows.
+    """Derivatives of the rigid body's torques by one joint's motion, cached as far as memory allows.
 
     Torques are linear in accelerations and quadratic in velocities, so differences are exact there.
 
@@ -84,7 +84,7 @@ class RigidDerivatives:
         return known
 
     def along(self, joint: int, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """What small changes of one joint's motion change in all torques ``(N, n)``, to first order.
+        """First-order change of all torques ``(N, n)`` by small changes of one joint's motion.
 
         Args:
             joint: from 1.
@@ -96,7 +96,7 @@ class RigidDerivatives:
 
     @cached_property
     def mass(self) -> list[Array]:
-        """What a unit acceleration of each joint changes in all torques ``(N, n)``: columns of the mass matrix."""
+        """Torques ``(N, n)`` of a unit acceleration of each joint: columns of the mass matrix."""
         q, still = self._motion[0], np.zeros_like(self._motion[0])
         at_rest = self._rigid(q, still, still)
         return [self._rigid(q, still, still + unit) - at_rest for unit in np.eye(q.shape[1])]
@@ -122,22 +122,22 @@ def _combined(a: Array, b: Array, c: Array, x: Array, y: Array, z: Array) -> Arr
 
 @dataclass(frozen=True)
 class Signals:
-    """What effects may look at: everything on one uniform time grid of ``N`` samples.
+    """Signals of a motion on one uniform time grid of ``N`` samples, the inputs of effects.
 
     Attributes:
         t: time since the start of the recording ``(N,)`` [s].
         q, qd, qdd: motor position, velocity and acceleration on the joint side ``(N, n)`` [rad or m, SI].
         load: torque at the gear output, i.e. of the rigid body without friction and rotors ``(N, n)`` [N m].
-        torque: what the model so far predicts for the motor ``(N, n)`` [N m].
+        torque: the present model's motor torque ``(N, n)`` [N m].
         friction: the part of ``torque`` that is friction ``(N, n)`` [N m].
         dry: dry friction of each joint at standstill, in the model ``(n,)`` [N m]; None where no model says so.
         compliance: of the gears as far as the model knows it, else zero ``(n,)`` [rad/(N m)]; None where it knows none.
         temperature: gear temperature ``(N, n)`` [°C], or None where it was not measured.
         rigid: the rigid body as a function, for effects that change positions; None where there is none.
-        weight: what gravity asks of the motors along the motion ``(N, n)``, in the unit of ``torque``; None where no
-            rigid body says so.
+        weight: gravity torques of the motors along the motion ``(N, n)``, in the unit of ``torque``; None without a
+            rigid body.
         constant: constant torque of the motors that may be weight ``(n,)`` [N m]: a joint that turns little does not
-            tell the two apart. None where no model says so.
+            distinguish the two. None without a model.
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
         frames: kinematics along the motion, or None.
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
@@ -148,7 +148,7 @@ class Signals:
         v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
         sliding: direction of sliding ``(N, n)``, -1 to 1, of joints whose friction in the model builds up over a
             displacement, NaN for others; None where no model says so.
-        tool: where tools are held, in the frame of the last link ``(3,)`` [m]; None where nobody says so.
+        tool: mounting point of tools in the frame of the last link ``(3,)`` [m]; None where unknown.
     """
 
     t: Array
@@ -181,17 +181,17 @@ class Signals:
 
     @property
     def dt(self) -> float:
-        """Sampling interval [s]; 1 for a single sample, where nothing may depend on it."""
+        """Sampling interval [s]; 1 for a single sample."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
 
     @cached_property
     def across(self) -> Array | None:
-        """``gravity_across`` along the motion ``(N, n, 2)``; None where it is not known."""
+        """Torques of horizontal gravity along the motion ``(N, n, 2)``, by ``gravity_across``; None where unknown."""
         return None if self.gravity_across is None else self.gravity_across(self.q)
 
     @cached_property
     def derivatives(self) -> RigidDerivatives | None:
-        """How the rigid body's torques change with the motion of one joint; None where no rigid body is known."""
+        """Derivatives of the rigid body's torques by one joint's motion; None without a rigid body."""
         return None if self.rigid is None else RigidDerivatives(self.rigid, self.q, self.qd, self.qdd)
 
     def slow_load(self, joint: int, cutoff: float) -> Array:
@@ -199,7 +199,7 @@ class Signals:
         return self.once(("load", joint, cutoff), lambda: lowpass(self.load[:, joint - 1], self.dt, cutoff))
 
     def span(self, joint: int) -> float:
-        """Range that ``joint`` (from 1) was driven over, above zero [rad or m]."""
+        """Driven range of ``joint`` (from 1), above zero [rad or m]."""
         return float(np.ptp(self.q[:, joint - 1])) + 1e-12
 
     def top_speed(self, joint: int) -> float:
@@ -207,7 +207,7 @@ class Signals:
         return self.once(("speed", joint), lambda: float(np.percentile(np.abs(self.qd[:, joint - 1]), 99)))
 
     def once(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """The value that ``make`` returned for this key the first time: of what the signals alone decide, kept."""
+        """Caches ``make()`` by a key, for values that depend on the signals alone."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
@@ -218,33 +218,33 @@ class Signals:
 
     @cached_property
     def inertia(self) -> Array:
-        """Inertia behind each gear, the other joints held ``(N, n)`` [kg m²]; ones where no rigid body says so."""
+        """Inertia behind each gear with the other joints fixed ``(N, n)`` [kg m²]; ones without a rigid body."""
         if self.derivatives is None:
             return np.ones((len(self.t), self.n))
         return np.column_stack([column[:, j] for j, column in enumerate(self.derivatives.mass)])
 
     def inertia_behind(self, joint: int) -> Array:
-        """Inertia behind the gear of ``joint`` (from 1), kept away from zero ``(N,)`` [kg m²]."""
+        """Inertia behind the gear of ``joint`` (from 1), bounded away from zero ``(N,)`` [kg m²]."""
         inertia = self.inertia[:, joint - 1]
         return np.asarray(np.maximum(inertia, _LEAST_INERTIA * np.mean(inertia)))
 
     def borne(self, joint: int) -> Array:
-        """Load of the gear of ``joint`` (from 1) with the constant torque that may be weight ``(N,)`` [N m].
+        """Load of the gear of ``joint`` (from 1), including a constant torque that may be weight ``(N,)`` [N m].
 
-        A fit knows their sum better than each; where the load changes sign is a matter of the sum.
+        A fit determines the sum better than each part, and the sum decides where the load changes sign.
         """
         return np.asarray(self.load[:, joint - 1] + (0.0 if self.constant is None else self.constant[joint - 1]))
 
     def direction(self, qd: Array, joint: int) -> Array:
-        """Sign of a velocity ``(N,)`` of ``joint`` (from 1), smooth where it is lost in noise."""
+        """Sign of a velocity ``(N,)`` of ``joint`` (from 1), smoothed where noise hides it."""
         if self.v_small is None:
             return np.sign(qd)
         return np.tanh(qd / self.v_small[joint - 1])
 
     def sliding_direction(self, joint: int) -> Array:
-        """Direction ``(N,)`` in which dry friction of ``joint`` (from 1) acts, with the memory that the model gives it.
+        """Direction ``(N,)`` of dry friction of ``joint`` (from 1), with the model's presliding state.
 
-        What belongs to dry friction builds up after a reversal like dry friction itself.
+        Terms of dry friction build up after a reversal as dry friction does.
         """
         if self.sliding is not None and len(self.t) and np.isfinite(self.sliding[0, joint - 1]):
             return np.asarray(self.sliding[:, joint - 1])
@@ -256,7 +256,7 @@ class Signals:
         return np.array([self.direction(qd, j + 1) for j, qd in enumerate(self.qd.T)])
 
     def on_joint(self, joint: int, *columns: Array) -> Array:
-        """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``; each lies together in memory."""
+        """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``, contiguous in memory."""
         result = np.zeros((self.n, len(columns), len(self.t)))
         for i, column in enumerate(columns):
             result[joint - 1, i] = column

@@ -34,11 +34,11 @@ _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
 class EgmError(IdealRobotError):
-    """The controller is not there, does not let itself be led, or has stopped the arm."""
+    """The controller is not reachable, refuses to be commanded, or has stopped the arm."""
 
 
 class EgmRobot(LinkedRobot):
-    """A ``RobotInterface`` to an arm whose controller speaks EGM; listens as soon as it is made.
+    """A ``RobotInterface`` to an arm whose controller speaks EGM; listens from its creation on.
 
     Without an answer the controller holds its last reference.
 
@@ -46,7 +46,7 @@ class EgmRobot(LinkedRobot):
         robot: six or seven joints, limits, and the controller's cycle (its ``SampleRate``).
         host: address of ours to listen on.
         port: UDP port; 0 for any free one, see ``address``.
-        timeout: silence of the controller after which the link counts as broken [s].
+        timeout: silence of the controller after which the link is taken as broken [s].
         bridge: how long messages may be lost in a row [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -76,14 +76,14 @@ class EgmRobot(LinkedRobot):
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens: host and port."""
+        """Host and port on which it listens."""
         host, port = self._socket.getsockname()
         return host, port
 
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Waits for the controller's messages, up to ``patience`` [s], and until it lets itself be led.
+        """Waits for the controller's messages, up to ``patience`` [s], and until it can be commanded.
 
-        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+        Returns the state at rest, ``t = 0``. ``commanded`` is then the controller's setpoint.
 
         Raises:
             EgmError: no message, or an arm that is not given to this computer.
@@ -95,12 +95,12 @@ class EgmRobot(LinkedRobot):
         while (reason := self._stopped(message)) is not None:
             if deadline.left < self.t_ipo:
                 raise EgmError(f"the arm cannot be led: {reason}")
-            # Until then it is answered that all may stay as it is, so that the controller's patience does not end.
+            # Until then the answers repeat the present position, so that the controller does not time out.
             self._number = message.header.seqno
             self._answer(self._joints(message.feedBack))
             message = self._next(deadline)
         measured, planned = self._joints(message.feedBack), self._joints(message.planned)
-        # What has other joints is no message of the arm.
+        # Messages with another number of joints are not of this arm.
         assert measured is not None
         self._begun = self._number = message.header.seqno
         self._clock, self._paced = message.header.tm, message.header.seqno
@@ -141,7 +141,7 @@ class EgmRobot(LinkedRobot):
         return self._state(message)
 
     def close(self) -> None:
-        """Stops listening; the controller ends its motion when its communication time is over."""
+        """Stops listening; the controller ends its motion after its communication timeout."""
         self._socket.close()
         self._peer = None
 
@@ -208,7 +208,7 @@ class EgmRobot(LinkedRobot):
         message = self._library.EgmRobot()
         try:
             message.ParseFromString(packet)
-        except Exception:  # the library's own DecodeError, whose place has changed with its versions
+        except Exception:  # the library's own DecodeError, whose module differs between versions
             return None
         joints = self._joints(message.feedBack)
         return message if joints is not None and (np.abs(np.degrees(joints)) < _LARGEST).all() else None
@@ -249,7 +249,7 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> EgmRobot:
         address, robot, settings: see ``ideal_robot.interfaces``.
     """
     address.knows("waits")
-    # Without a host on every address of this computer, as the controller is told one of them.
+    # Without a host it listens on every address of this computer, as the controller is configured with one of them.
     host, port = address.at(PORT, "0.0.0.0")
     link = EgmRobot(robot, host=host, port=port, **settings.given())
     link.clocked = not address.number("waits", 0, 0, 1)

@@ -1,4 +1,4 @@
-"""What a clamped recording says: motor angles, motor torques and wrench on one clock, at a low common rate."""
+"""A clamped recording as motor angles, motor torques and wrench on one clock, at a low common rate."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class ClampedSignals:
             measured are zero ([J] 4.2); NaN rows where the sensor was silent; None if not recorded.
         measured: which components were measured.
         q_0: motor angles before contact ``(n,)`` [rad], where the Jacobian is taken, [J] (3).
-        clamped: samples at which the flange is loaded, so that it certainly stands ``(N,)``.
-        clock: how the sensor's clock was found to run.
+        clamped: samples at which the flange is loaded, so that it certainly is at rest ``(N,)``.
+        clock: estimated relation of the sensor's clock to the controller's.
     """
 
     source: str
@@ -140,8 +140,8 @@ def _resampled(t: Array, t_sensor: Array, values: Array) -> Array:
 def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array) -> Clock:
     """Offset and drift of the sensor's clock ([J] 4.3: synchronised off line).
 
-    The flange stands, so at the right clock the wrench is an affine function of the motor angles; the clock is the one
-    that leaves the least of the wrench unexplained.
+    The flange does not move, so with the right clock the wrench is an affine function of the motor angles; the clock is
+    the one that leaves the least of the wrench unexplained.
 
     Args:
         t, q_m: controller time ``(N,)`` [s], and motor angles ``(N, n)``.
@@ -151,7 +151,7 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array) -> Clock:
     t_thin, wrench = t_sensor[::thin], sensed[::thin]
     span = np.ptp(wrench, axis=0)
     wrench = wrench / np.where(span > 0, span, 1.0)
-    # Joints that move together (one push) would make the regression singular: principal motions only.
+    # Joints that move together (one push) would make the regression singular, so principal motions are used.
     centred = q_m - q_m.mean(axis=0)
     U, s, _ = np.linalg.svd(centred, full_matrices=False)
     motions = U[:, s > 1e-3 * s[0]]
@@ -166,7 +166,7 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array) -> Clock:
         share = ((times[inside] - t[index - 1]) / (t[index] - t[index - 1]))[:, None]
         W = (1 - share) * motions[index - 1] + share * motions[index]
         W, y = W - W.mean(axis=0), wrench[inside] - wrench[inside].mean(axis=0)
-        # Principal motions are nearly orthogonal: the normal equations lose no digits that matter here.
+        # Principal motions are nearly orthogonal, so the normal equations are accurate enough.
         rho = y - W @ np.linalg.solve(W.T @ W, W.T @ y)
         return float(np.sum(rho * rho) / len(rho))
 

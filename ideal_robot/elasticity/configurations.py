@@ -1,7 +1,7 @@
-"""Which configurations to clamp in: the few that determine the stiffness of all joints best.
+"""Chooses the few clamped configurations that determine the stiffness of all joints best.
 
 Past [J], which takes one configuration a joint: with all six wrench components and one motor shifted after the other,
-every configuration says something of every joint. How much is predicted from the geometry, a rough guess of the
+every configuration has information on every joint. How much is predicted from the geometry, a rough guess of the
 stiffnesses, the limits and the noise of the sensor; configurations are added one by one, the best first.
 """
 
@@ -21,7 +21,7 @@ from ideal_robot.robots.size import reach_at_home
 
 @dataclass(frozen=True)
 class ClampLimits:
-    """What the arm, the sensor and the site allow.
+    """Limits of the arm, the sensor and the site on a clamped configuration.
 
     Attributes:
         torque_share: motor torque as a share of its limit.
@@ -53,7 +53,7 @@ class ClampLimits:
 
 @dataclass(frozen=True)
 class ChosenConfigurations:
-    """The choice and what it promises.
+    """The chosen configurations with their predicted standard deviations.
 
     Attributes:
         q: configurations ``(c, n)`` [rad], the most useful first.
@@ -128,7 +128,7 @@ def _information(robot: Robot, q: Array, guess: Array, limits: ClampLimits) -> A
     sigma = np.repeat(limits.noise, 3)
     noise = np.linalg.norm(jacobian.T * sigma, axis=1) / guess
     shapes = compliance_shapes(robot, q)
-    # Clamp and links: a hundredth of what the stiffest gear gives.
+    # Prior of clamp and links: a hundredth of the stiffest gear's compliance.
     scale = np.concatenate([1 / guess, np.full(len(shapes), 1e-2 / np.max(guess))])
     information = np.zeros((len(scale), len(scale)))
     for joint in range(n):
@@ -145,5 +145,6 @@ def _information(robot: Robot, q: Array, guess: Array, limits: ClampLimits) -> A
 
 
 def _std_percent(information: Array, n: int) -> Array:
-    # A weak prior (the guess is right within a factor of ten) keeps what a single configuration cannot tell finite.
+    # A weak prior (the guess is right within a factor of ten) keeps undetermined parameters of a single configuration
+    # finite.
     return np.asarray(100 * np.sqrt(np.diag(np.linalg.inv(information + 1e-2 * np.eye(len(information)))))[:n])

@@ -1,4 +1,4 @@
-r"""Arm angles from motor angles, through the elastic gears ([L] 2.1, 3.3).
+r"""Estimates arm angles from motor angles, through the elastic gears ([L] 2.1, 3.3).
 
 Encoders sit on the motors, sensors on the arm. Between them are springs: the measured motor angles drive a model of the
 arm behind its gears,
@@ -36,7 +36,7 @@ LEAST_DAMPING = 0.04
 
 @dataclass(frozen=True)
 class ObserverState:
-    """Arm angles and velocities ``(n,)``, and motor angles now and a cycle ago with the velocity now."""
+    """State of the observer: arm angles and velocities ``(n,)``, motor angles now and a cycle ago, motor velocity."""
 
     q_a: Array
     v_a: Array
@@ -48,13 +48,13 @@ class ObserverState:
 class ArmObserver:
     """Observer for the arm angles, from motor angles that come every ``T`` [s].
 
-    Gears of unknown or infinite stiffness in the model count as rigid, and so do those too stiff for its time step.
+    Gears of unknown or infinite stiffness in the model are taken as rigid, and so do those too stiff for its time step.
     """
 
     def __init__(self, model: Model, T: float) -> None:
         changes = changes_of(model.effects)
         self._dynamics = dynamics_with(model.dynamics, changes)
-        # The rotors turn with the motors, which are measured: only what is behind the gears moves here.
+        # Rotors turn with the motors, whose motion is measured: only the links move here.
         self._dynamics.armature = np.zeros(model.n)
         self._data = self._dynamics.createData()
         self._T, self._n = T, model.n
@@ -76,7 +76,7 @@ class ArmObserver:
             upper = mass_matrix(self._dynamics, self._data, q)
             while len(gears := np.flatnonzero(self._elastic)):
                 root = np.sqrt(pull[gears])
-                # Beside rigid joints, which the motors lead, elastic ones move with their own part of the mass matrix.
+                # Rigid joints follow the motors; elastic ones move with their own block of the mass matrix.
                 values, ways = np.linalg.eigh(upper[np.ix_(gears, gears)] / np.outer(root, root), UPLO="U")
                 if values[0] * FOLLOWED >= 1.0:
                     break
@@ -93,7 +93,7 @@ class ArmObserver:
         return ObserverState(q_a, np.zeros(self._n), q, q, np.zeros(self._n))
 
     def step(self, state: ObserverState, q: Array, tau_ext: Array | None = None) -> ObserverState:
-        """One cycle on: motor angles at its end, external joint torque during it.
+        """Advances by one cycle: motor angles at its end, external joint torque during it.
 
         Args:
             state, q: before the cycle, and motor angles at its end ``(n,)`` [rad].
@@ -156,7 +156,7 @@ def _substeps(q_a: Array, v_a: Array, motors: _Motors, upper: Array, load: Array
     acceleration = np.zeros(n)
     factor(mass)
     for step in range(steps):
-        # Leapfrog: positions at the steps' ends, velocities half a step before.
+        # Leapfrog: positions at the ends of steps, velocities half a step earlier.
         u = step / steps
         for j in range(n):
             slope = (q1[j] - q0[j])
@@ -178,9 +178,8 @@ class GearDeflection:
     r"""Deflection :math:`q - q_a = \tau_g / k` with the gear torque of the desired path, [J] (1).
 
     Sensors are mounted on the arm, encoders on the motors: a sensor value belongs to :math:`\hat q_a = q - \tau_g/k`.
-    The torque comes from the path that the arm is following, not from the noisy motor current. Found effects count:
-    what the arm carries besides, how stiff its gears are, how unevenly they turn and on which side of their backlash
-    they are.
+    The torque comes from the desired path, not from the noisy motor current. The model's effects are used: payload,
+    stiffness, transmission error and backlash.
 
     Args:
         model: identified model; without a stiffness in it the deflection is zero.
@@ -203,7 +202,7 @@ class GearDeflection:
         return np.asarray(self.along(q_d[:3])[1]) if len(q_d) > 2 else np.zeros(q_d.shape[1])
 
     def along(self, q_d: Array) -> Array:
-        """Deflections ``(K, n)`` [rad] on a whole path ``(K, n)`` [rad]; zero at both ends, where nothing is known."""
+        """Deflections ``(K, n)`` [rad] on a whole path ``(K, n)`` [rad]; zero at both ends."""
         deflection = np.zeros(q_d.shape)
         if len(q_d) < 3 or not (self._bends or self._gears):
             return deflection

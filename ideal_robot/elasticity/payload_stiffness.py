@@ -1,6 +1,6 @@
-"""Stiffness from known payloads hung on the flange: what [J] compares its clamp with (Dumas et al., 2011).
+"""Stiffness from known payloads hung on the flange, with which [J] compares its clamp (Dumas et al., 2011).
 
-The motors stand, the flange sinks, an external device measures by how much:
+The motors are at rest, the flange deflects, an external device measures the deflection:
 
     Δx = J K⁻¹ Jᵀ ΔF
 
@@ -25,7 +25,7 @@ LARGEST_STD_PERCENT = 10.0
 
 
 def identify_from_payloads(recordings: Sequence[Recording], robot: Robot) -> tuple[JointStiffness, ...]:
-    """Stiffness of the joints that the payloads load (never a vertical first one).
+    """Stiffness of the joints that the payloads load (never a vertical first joint).
 
     The recordings have the columns ``q_i``, ``payload`` [kg] and the flange pose. The masses' centre in the tool frame
     stands in the metadata (``payload_lever`` [m]); without it, it is the flange. Raises InputError where a column is

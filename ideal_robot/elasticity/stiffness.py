@@ -87,7 +87,7 @@ LEAST_CORRELATION = 0.9
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Relative standard deviations of what scales all torques alike and no residual shows.
+    """Relative standard deviations of scale errors common to all torques, which no residual shows.
 
     Attributes:
         drive_gain: data-sheet drive gains, [J] (9): "a few per cent".
@@ -106,7 +106,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class JointStiffness:
-    """Result for one joint.
+    """Stiffness of one joint with its statistics.
 
     Attributes:
         joint: counted from 1.
@@ -204,7 +204,7 @@ def identify_joint(loads: Sequence[JointLoad], joint: int, method: Method,
     Args:
         loads: torque over motor angle, one for each recording.
         joint, method: from 1; ``motor`` or ``wrench``.
-        tolerances: relative errors of what is taken as known; the defaults if None.
+        tolerances: scale errors of the torques; the defaults if None.
     """
     if not loads:
         raise InputError(f"no recording loads joint {joint}; clamp the flange in a configuration that does",
@@ -215,7 +215,7 @@ def identify_joint(loads: Sequence[JointLoad], joint: int, method: Method,
         W = np.vstack([weight * _rows(load, loads) for weight, load in zip(weights, loads, strict=True)])
         Y = np.concatenate([weight * load.tau for weight, load in zip(weights, loads, strict=True)])
         fit = least_squares(W, Y, lag=round(CORRELATED_SECONDS * 2 * DECIMATE_HZ))
-        # Recordings whose residuals are larger count less from the second pass on.
+        # Recordings with larger residuals get less weight from the second pass on.
         weights = [1 / np.std(load.tau - fit.chi[0] * load.q_m) for load in loads]
     k = float(fit.chi[0])
     half = 1.96 * float(np.hypot(np.sqrt(fit.robust[0, 0]), k * tolerances.of(method)))
@@ -231,7 +231,7 @@ def _rows(load: JointLoad, loads: Sequence[JointLoad]) -> Array:
 
 def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: Method,
                        tolerances: Tolerances | None = None) -> tuple[JointStiffness, ...]:
-    """All joints that the recordings load, each by [J] (8) or (11).
+    """Stiffness of all joints that the recordings load, each by [J] (8) or (11).
 
     Args:
         signals, robot, method: of the clamped recordings, see ``joint_torque``.

@@ -1,4 +1,4 @@
-"""Stiffness of an arm from any mix of clamped and payload recordings: all methods that they allow."""
+"""Stiffness of an arm from any mix of clamped and payload recordings, by all possible methods."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import plausible, require_joint_units
 from ideal_robot.signals.recording import Recording, recordings_of
 
-# The give of clamp and links, estimated from the wrench and taken away from the motor angles.
+# The compliance of clamp and links is estimated from the wrench and removed from the motor angles.
 #
-# [J] assumes that the arm stands while the motors turn. A real clamp gives way, and links bend, so the arm angles move
-# a little and every gear looks softer than it is. With motor angles and wrenches of several configurations that give
-# can be estimated beside the stiffnesses, because it couples the joints while a gear does not:
+# [J] assumes that the arm is at rest while the motors turn. A real clamp and links deflect, so the arm angles move a
+# little and every gear looks softer than it is. With motor angles and wrenches of several configurations that
+# compliance can be estimated beside the stiffnesses, because it couples the joints while a gear does not:
 #
 #     q_m = q_0 + K⁻¹ τ + J(q_0)⁻¹ C F_e,      C = c_t I_t + c_r I_r + Σ_j c_j J_bj J_bjᵀ
 #
@@ -42,10 +42,10 @@ from ideal_robot.signals.recording import Recording, recordings_of
 # maps its rotations across its joint axis to the flange. All unknowns enter linearly, and none is negative.
 
 def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple[ClampedSignals, ...]:
-    """The recordings with the motor angles that they would have if the arm stood as [J] (3) assumes.
+    """The recordings with the motor angles corrected for the compliance of clamp and links, as [J] (3) assumes none.
 
-    They are two or more in different configurations, with all six wrench components. Raises InputError where there are
-    not six joints, a wrench component is missing, or too few samples are under load.
+    The recordings are two or more in different configurations, with all six wrench components. Raises InputError where
+    there are not six joints, a wrench component is missing, or too few samples are under load.
     """
     n = robot.n
     if n != 6:
@@ -59,7 +59,7 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
         scale = np.linalg.norm(W, axis=0)
         chi = nnls(W.T @ W / np.outer(scale, scale), W.T @ Y / scale)[0] / scale
         residual = np.vstack([angles - rows @ chi for rows, angles in blocks])
-        # Joints whose angles the model explains worse count less from the second pass on.
+        # Joints with larger residuals get less weight from the second pass on.
         weight = 1 / np.maximum(np.std(residual, axis=0), 1e-12)
     corrected = []
     for signal in signals:
@@ -92,7 +92,7 @@ def _block(signal: ClampedSignals, robot: Robot) -> tuple[Array, Array]:
 
 
 def compliance_shapes(robot: Robot, q: Array) -> list[Array]:
-    """I_t, I_r and J_bj J_bjᵀ of each link in the tool frame, each ``(6, 6)``."""
+    """Compliance matrices I_t, I_r and J_bj J_bjᵀ of each link in the tool frame, each ``(6, 6)``."""
     data = robot.pinocchio.createData()
     pin.framesForwardKinematics(robot.pinocchio, data, q)
     flange = data.oMf[robot.tool_id]
@@ -117,8 +117,8 @@ class StiffnessAnalysis(Summarised):
         robot: the arm.
         joints: one entry per joint and method.
         signals: the clamped recordings as they were used.
-        clamp_estimated: whether the give of clamp and links was estimated, and taken away from the motor angles.
-        warnings: what the user should know.
+        clamp_estimated: whether the compliance of clamp and links was estimated and removed from the motor angles.
+        warnings: warnings for the user.
     """
 
     robot: Robot
@@ -132,7 +132,7 @@ class StiffnessAnalysis(Summarised):
         return {entry.joint: entry for entry in self.joints if entry.method == method}
 
     def differences(self) -> list[dict[str, Any]]:
-        """[J] table 7: how far the motor method is from the wrench method, joint by joint [%]."""
+        """[J] table 7: difference of the motor method from the wrench method, joint by joint [%]."""
         motor, wrench = self.by("motor"), self.by("wrench")
         return [{"joint": joint,
                  "difference_percent": 100 * abs(motor[joint].stiffness - wrench[joint].stiffness)
@@ -173,18 +173,18 @@ class StiffnessAnalysis(Summarised):
 
 def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot, method: str = "both", *,
                       clamp: bool | None = None, drive_gain: float = 0.03) -> StiffnessAnalysis:
-    """Identifies stiffness by every method asked for.
+    """Identifies stiffness by one method or all possible ones.
 
     Args:
         recordings: clamped ones, and such with a column ``payload``.
         robot: geometry and data-sheet drive gains.
         method: ``motor``, ``wrench`` or ``both``.
-        clamp: estimate the give of clamp and links, too; None: where the recordings allow it (two or more clamped
+        clamp: also estimate the compliance of clamp and links; None: where the recordings allow it (two or more clamped
             configurations with all six wrench components, of an arm of six joints).
         drive_gain: relative standard deviation of the data sheet's drive gains.
 
     Raises:
-        InputError: unknown method, or a recording that does not have what it takes.
+        InputError: unknown method, or a recording without the needed columns.
     """
     if method not in (*CLAMPED_METHODS, "both"):
         raise InputError("expected motor, wrench or both", field="method", value=method)
@@ -200,7 +200,7 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         require_joint_units(recording.joints("q"), robot, file=recording.source)
     methods = [name for name in CLAMPED_METHODS if method in (name, "both")]
     if method == "both":
-        # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
+        # Both methods only if both are recorded: an arm without a force sensor still gets its stiffnesses.
         methods = [name for name in methods
                    if all((had.tau if name == "motor" else had.wrench) is not None for had in signals)]
     if clamp is None:
@@ -212,7 +212,7 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         raise InputError("the recordings share no method: some lack currents, others the wrench", field="recordings")
     clamp = clamp and bool(signals)
     standing = without_clamp_give(signals, robot) if clamp else signals
-    # Told apart, the give of clamp and links leaves a third of the uncertainty.
+    # Once the compliance of clamp and links is estimated, a third of its uncertainty remains.
     tolerances = Tolerances(drive_gain=drive_gain, model=0.01 if clamp else Tolerances.model)
     for name in methods if signals else []:
         joints.extend(identify_stiffness(standing, robot, name, tolerances))

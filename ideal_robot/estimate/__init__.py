@@ -1,1 +1,1 @@
-"""One linear Gaussian estimator: coloured noise, posterior of parameters, predictive score of blocks left out."""
+"""One linear Gaussian estimator: coloured noise, posterior of parameters, predictive score of blocks of time."""

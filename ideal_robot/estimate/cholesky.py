@@ -1,7 +1,7 @@
-"""Systems of a few equations that are symmetric and positive definite, in compiled code: A = L Lᵀ, in place.
+"""Solves small symmetric positive definite systems in compiled code: A = L Lᵀ, in place.
 
-What a control cycle solves is small (joints, a pose, a window's fit), and there a call of LAPACK costs more than its
-arithmetic. Elsewhere SciPy solves.
+Systems in a control cycle are small (joints, a pose, a window's fit), for which a call of LAPACK costs more than its
+arithmetic. Elsewhere SciPy is used.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from ideal_robot.jit import jit
 
 @jit()
 def factor(A: Array) -> bool:
-    """Puts L into the lower half of ``A (n, n)``; False, with ``A`` spoilt, where it is not positive definite.
+    """Writes L into the lower half of ``A (n, n)``; False, with ``A`` overwritten, where it is not positive definite.
 
-    Only the lower half of ``A`` is read. What is not a number leaves none.
+    Only the lower half of ``A`` is read. With NaN in ``A`` it returns False.
     """
     for i in range(len(A)):
         for j in range(i + 1):
@@ -34,7 +34,7 @@ def factor(A: Array) -> bool:
 
 @jit()
 def solve(L: Array, b: Array) -> None:
-    """Puts A⁻¹ b into ``b (n,)``, with L in the lower half of ``L (n, n)`` as of ``factor``."""
+    """Writes A⁻¹ b into ``b (n,)``, with L in the lower half of ``L (n, n)`` from ``factor``."""
     n = len(b)
     for i in range(n):
         for j in range(i):
@@ -48,7 +48,7 @@ def solve(L: Array, b: Array) -> None:
 
 @jit()
 def inverse(L: Array, out: Array) -> None:
-    """Puts A⁻¹ into ``out (n, n)``, with L in the lower half of ``L (n, n)`` as of ``factor``."""
+    """Writes A⁻¹ into ``out (n, n)``, with L in the lower half of ``L (n, n)`` from ``factor``."""
     for i in range(len(L)):
         for j in range(len(L)):
             out[i, j] = 1.0 if i == j else 0.0

@@ -1,11 +1,10 @@
-"""The linear Gaussian estimator: parameters of whitened rows, with a prior, from products of columns.
+"""Posterior of a linear Gaussian model: parameters of whitened rows, with a prior, from products of columns.
 
-With rows in units of their noise, ``y = X β + v``, and β of precision Λ about zero beforehand,
+With rows in units of their noise, ``y = X β + v``, and a prior of β with mean zero and precision Λ,
 
     p(β | y) = N( A⁻¹ X'y , A⁻¹ ) ,      A = Λ + X'X .
 
-All it needs are the products of ``[X, y]`` with themselves, which are small, add up over channels and blocks of time,
-and are kept.
+It needs only the products of ``[X, y]`` with themselves, which are small and add up over channels and blocks of time.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from ideal_robot.tolerances import PRODUCTS
 
 @dataclass(frozen=True)
 class Posterior:
-    """Parameters given rows and a prior.
+    """Gaussian posterior of the parameters, given rows and a prior.
 
     Attributes:
         mean: ``(P,)``.
@@ -40,7 +39,7 @@ class Posterior:
 
     @property
     def rounding(self) -> Array:
-        """What rounding adds to the diagonal of the precision ``(P,)``."""
+        """Rounding error added to the diagonal of the precision ``(P,)``."""
         return np.asarray(PRODUCTS / self.scale**2)
 
     @cached_property
@@ -65,7 +64,7 @@ def posterior(products: Array, precision: Array | None = None) -> Posterior:
 
     Args:
         products: ``[X, y]' [X, y]`` ``(P + 1, P + 1)``.
-        precision: of the parameters beforehand, about zero ``(P, P)``; None where nothing is known.
+        precision: prior precision of the parameters about zero ``(P, P)``; None for no prior.
     """
     P = len(products) - 1
     A = products[:P, :P] + (0.0 if precision is None else precision)
@@ -93,10 +92,10 @@ def _root(scaled: Array) -> Array:
 
 @dataclass(frozen=True)
 class Joined:
-    """One more group of columns beside others.
+    """The posterior's change when a further group of columns is added.
 
     Attributes:
-        mean, covariance: of its coefficients ``(m,)``, ``(m, m)``, everything else fitted anew.
+        mean, covariance: of its coefficients ``(m,)``, ``(m, m)``, with all other parameters fitted again.
         evidence: logarithm of the density of all rows with it over that without it, its prior included.
     """
 
@@ -106,7 +105,7 @@ class Joined:
 
 
 def root_of(covariance: Array) -> Array:
-    """Matrix ``(m, m)`` whose product with itself transposed is a covariance ``(m, m)``, which may be singular."""
+    """Matrix square root ``R (m, m)`` with ``R R'`` the covariance ``(m, m)``, which may be singular."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     units = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(units, units))
@@ -114,7 +113,7 @@ def root_of(covariance: Array) -> Array:
 
 
 def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: Array, root: Array) -> Joined:
-    """One more group beside others, whose coefficients have a covariance ``R R'`` beforehand.
+    """Adds a group of columns whose coefficients have the prior covariance ``R R'``; the gain in evidence.
 
     With M = C'C − C'X A⁻¹ X'C and g = C'(y − X β),
 
@@ -125,12 +124,12 @@ def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: A
         with_others: products with the others' columns ``(m, P)``.
         with_itself: products with itself ``(m, m)``.
         with_y: products with the measurement ``(m,)``.
-        root: ``R (m, k)``; what beforehand is zero stays so.
+        root: ``R (m, k)``; coefficients of prior variance zero stay zero.
     """
     M = with_itself - with_others @ present.solve(with_others.T)
     g = root.T @ (with_y - with_others @ present.mean)
     A = root.T @ (0.5 * (M + M.T)) @ root
-    # What others make all but rounding of is nothing, and not less.
+    # Rounding makes eigenvalues slightly negative, so they are bounded by zero.
     values, vectors = np.linalg.eigh(0.5 * (A + A.T))
     values = 1.0 + np.maximum(values, 0.0)
     along = vectors.T @ g
@@ -140,12 +139,12 @@ def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: A
 
 
 def measured(mean: Array, covariance: Array, places: np.ndarray, y: Array, variance: Array) -> tuple[Array, Array]:
-    """Mean ``(p,)`` and covariance ``(p, p)`` of parameters after some of them were measured one by one.
+    """Mean ``(p,)`` and covariance ``(p, p)`` of parameters after direct measurements of some of them.
 
     Args:
         mean, covariance: before ``(p,)``, ``(p, p)``.
         places: of the measured parameters ``(k,)``.
-        y, variance: what was measured, and the variance of its noise ``(k,)``.
+        y, variance: the measurements, and the variance of their noise ``(k,)``.
     """
     seen = covariance[:, places]
     gain = np.linalg.solve(covariance[np.ix_(places, places)] + np.diag(variance), seen.T).T

@@ -1,13 +1,11 @@
-"""Coloured noise of one channel: an autoregression, what it makes of rows, and how large and how coloured it is.
+"""Coloured noise of one channel as an autoregression: its fit, its innovations, its spectrum at zero.
 
-What a channel leaves is coloured: filters, vibrations, and what a model class cannot say follow one another. An
-autoregression of order p,
+A channel's residual is coloured by filters, vibrations, and errors of the model class. An autoregression of order p,
 
     e_t = a_1 e_{t-1} + … + a_p e_{t-p} + v_t ,      v_t white,
 
-turns rows into innovations, in which every row counts once. It is estimated from the autocovariance by Levinson's and
-Durbin's recursion, which gives all lower orders too; a stretch of used rows begins with these, so that nothing before a
-gap is asked for.
+turns rows into independent innovations. It is estimated from the autocovariance by Levinson's and Durbin's recursion,
+which gives all lower orders too; an interval of used rows begins with these, so that no row before a gap is needed.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ class ColouredNoise:
 
     @classmethod
     def fit(cls, residual: Array, use: np.ndarray, order: int = ORDER) -> ColouredNoise:
-        """The noise that a residual shows.
+        """Fits the noise of a residual.
 
         Args:
             residual: of the channel ``(N,)``, in its unit.
@@ -51,13 +49,13 @@ class ColouredNoise:
         values, N = np.where(use, residual, 0.0), len(residual)
         pairs = np.array([(used[k:] * used[: N - k]).sum() for k in range(order + 1)])
         products = np.array([(values[k:] * values[: N - k]).sum() for k in range(order + 1)])
-        # Few pairs of samples at a lag tell little of its correlation, which is shrunk towards zero.
+        # Few pairs of samples at a lag determine its correlation poorly, so it is shrunk towards zero.
         covariance = products / np.maximum(pairs + order * (np.arange(order + 1) > 0), 1.0)
         return cls.of_autocovariance(covariance)
 
     @classmethod
     def of_autocovariance(cls, covariance: Array) -> ColouredNoise:
-        """The noise of an autocovariance at lags 0 to p ``(p + 1,)``, in the square of the channel's unit."""
+        """Noise with a given autocovariance at lags 0 to p ``(p + 1,)``, in the square of the channel's unit."""
         p = len(covariance) - 1
         predictors, variance = np.zeros((p + 1, p)), np.zeros(p + 1)
         variance[0] = max(float(covariance[0]), 1e-300)
@@ -82,11 +80,11 @@ class ColouredNoise:
 
     @property
     def colour(self) -> float:
-        """How many rows count for one in a slow mean: the spectrum at zero over the variance of white noise."""
+        """Number of rows worth one independent row in a slow mean: spectrum at zero over the variance."""
         return float(self.variance[-1] / self.variance[0] / max(1.0 - self.predictors[-1].sum(), 1e-3) ** 2)
 
     def autocovariance(self, lags: int) -> Array:
-        """Autocovariance ``(lags + 1,)`` of what this is the noise of, in the square of its unit (Yule and Walker)."""
+        """Autocovariance ``(lags + 1,)`` of the noise, in the square of its unit (Yule and Walker)."""
         result = np.zeros(lags + 1)
         result[0] = self.variance[0]
         for k in range(1, lags + 1):
@@ -95,7 +93,7 @@ class ColouredNoise:
         return result
 
     def scaled(self, factor: float) -> ColouredNoise:
-        """The same colour with another standard deviation, ``factor`` times as large."""
+        """The same noise with its standard deviation multiplied by ``factor``."""
         return ColouredNoise(self.predictors, self.variance * factor**2)
 
     def whiten(self, values: Array, use: np.ndarray) -> Array:
@@ -103,7 +101,7 @@ class ColouredNoise:
 
         Args:
             values: a residual ``(N,)``, or columns ``(N, m)``.
-            use: rows that are used ``(N,)``; each stretch of them begins anew.
+            use: rows that are used ``(N,)``; each interval of them starts anew.
         """
         order = np.minimum(position_in_stretch(use), self.order)
         used = np.flatnonzero(order >= 0)
@@ -120,14 +118,14 @@ class ColouredNoise:
 
 
 def position_in_stretch(use: np.ndarray) -> np.ndarray:
-    """Place of each row in its stretch of used rows, from 0; -1 where it is not used ``(N,)``."""
+    """Index of each row in its interval of used rows, from 0; -1 where it is not used ``(N,)``."""
     count = np.arange(len(use))
     last_gap = np.maximum.accumulate(np.where(use, -1, count))
     return np.where(use, count - last_gap - 1, -1)
 
 
 def without_kicks(innovations: Array, use: np.ndarray) -> np.ndarray:
-    """Rows whose innovation is no kick ``(N,)``: noise has heavier tails than a normal distribution.
+    """Mask of rows whose innovation is no outlier ``(N,)``, as noise has heavier tails than a normal distribution.
 
     Args:
         innovations: of the channel ``(N,)``, in any unit.

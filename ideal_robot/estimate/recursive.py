@@ -1,4 +1,4 @@
-r"""The linear Gaussian estimator, measurement by measurement: for compiled code that runs in a control cycle.
+r"""The linear Gaussian estimator in recursive form, compiled, for use in a control cycle.
 
 Parameters are in units of their prior standard deviations, so that the prior is :math:`x \sim N(0, 1)` as that of the
 batch (``ideal_robot.estimate.gaussian`` with the unit matrix as precision). They change in time by **process noise**
@@ -6,12 +6,12 @@ that keeps the prior (an Ornstein-Uhlenbeck process of time constant T):
 
 .. math:: x \leftarrow a x + w, \qquad w \sim N(0, 1 - a^2), \qquad a = e^{-t/T}.
 
-So whatever was measured long ago, they are as uncertain as at first, never more. A measurement
-:math:`y = h^T x + v`, :math:`v \sim N(0, R)`, updates mean and covariance by Kalman's equations,
+So their uncertainty grows back to that of the prior, never beyond. A measurement :math:`y = h^T x + v`, :math:`v \sim
+N(0, R)`, updates mean and covariance by Kalman's equations,
 
 .. math:: K = P h / (h^T P h + R), \qquad x \leftarrow x + K (y - h^T x), \qquad P \leftarrow P - K h^T P.
 
-It is used if it lies within ``GATE`` standard deviations of what the prior expects, :math:`y^2 < GATE^2 (R + h^T h)`.
+It is used if it lies within ``GATE`` standard deviations of the prior's prediction, :math:`y^2 < GATE^2 (R + h^T h)`.
 Without process noise the result is the batch's.
 """
 
@@ -33,7 +33,7 @@ def correlation(spacing: float, time_constant: float) -> float:
 
 @jit()
 def predict(mean: Array, covariance: Array, correlation: float) -> None:
-    """Parameters some time later.
+    """Advances mean and covariance of the parameters in time, by their process noise.
 
     Args:
         mean, covariance: of the parameters ``(p,)`` and ``(p, p)``, both written to.
@@ -49,7 +49,7 @@ def predict(mean: Array, covariance: Array, correlation: float) -> None:
 
 @jit()
 def update(mean: Array, covariance: Array, h: Array, y: float, variance: float) -> bool:
-    """Takes one measurement; False, and nothing changes, where it is too far from what the prior expects.
+    """Fuses one measurement; returns False, and changes nothing, where it contradicts the prior.
 
     Args:
         mean, covariance: of the parameters ``(p,)``, within ``GATE``, and ``(p, p)``; both are written to.
@@ -62,7 +62,7 @@ def update(mean: Array, covariance: Array, h: Array, y: float, variance: float) 
     if not y * y < GATE * GATE * expected:
         return False
     for b in range(len(h)):
-        if h[b] != 0.0:  # few of all parameters show in one measurement
+        if h[b] != 0.0:  # few of all parameters appear in one measurement
             innovation -= h[b] * mean[b]
             for a in range(len(h)):
                 gain[a] += covariance[b, a] * h[b]
@@ -76,7 +76,7 @@ def update(mean: Array, covariance: Array, h: Array, y: float, variance: float) 
 
 
 def marginal(mean: Array, covariance: Array, places: Array) -> tuple[Array, Array]:
-    """What is known of some parameters; the others have their prior again.
+    """Mean and covariance with some parameters kept; the others are reset to their prior.
 
     Args:
         mean, covariance: of the parameters ``(n, p)`` and ``(n, p, p)``.

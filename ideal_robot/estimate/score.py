@@ -1,12 +1,12 @@
-"""The score of a model: how densely it predicts blocks of time before it has seen them.
+"""The score of a model: its log predictive density for blocks of time, each given the earlier ones.
 
-With A_b = Λ + Σ X'X over the first b blocks and Λ what is known of parameters beforehand,
+With A_b = Λ + Σ X'X over the first b blocks and Λ the prior precision of the parameters,
 
     ln p(y_1 … y_b) = −½ [ y'y − y'X A_b⁻¹ X'y + ln|A_b| − ln|Λ| ]        (up to a constant),
 
-in closed form from the products of columns, and ln p(y_b | blocks before) is what block b adds. Their sum does not
-depend on the order. Blocks that are left out in turn, each given all others, would not do: there data speak for a
-parameter that its prior all but excludes, and no set could be told from another by what is known beforehand.
+in closed form from the products of columns, and ln p(y_b | blocks before) is the share of block b. The sum does not
+depend on the order. Cross-validation, each block given all others, would not do: it ignores priors that almost exclude
+a parameter, so that sets could not be distinguished by their priors.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ CLEAR = 3.0
 
 
 def evidence(products: Array, precision: Array) -> float:
-    """Logarithm of the density of all rows, the parameters integrated out.
+    """Log marginal likelihood of all rows: the parameters are integrated out.
 
     Args:
         products: ``[X, y]' [X, y]`` of whitened rows ``(P + 1, P + 1)``.
-        precision: of the parameters beforehand, about zero ``(P, P)``; a direction of which nothing is known adds
-            nothing, so that sets with the same such directions can be compared.
+        precision: prior precision of the parameters about zero ``(P, P)``; directions without a prior add nothing, so
+            only sets with the same such directions are comparable.
     """
     fitted, b = posterior(products, precision), products[:-1, -1]
     left = products[-1, -1] - b @ fitted.mean
@@ -58,10 +58,10 @@ BLOCKS = 20
 
 
 def leaves_less(one: Array, other: Array) -> bool:
-    """Whether a prediction leaves less than another one, by two standard errors over blocks of time.
+    """Whether a prediction's residual is smaller than another one's, by two standard errors over blocks of time.
 
     Args:
-        one, other: what each leaves of the same instants, in the order of time ``(N, …)``.
+        one, other: residuals at the same instants, in the order of time ``(N, …)``.
     """
     gain = np.array([np.sum(part) for part in np.array_split(other**2 - one**2, BLOCKS)])
     return float(gain.sum()) > 2.0 * standard_error(gain)

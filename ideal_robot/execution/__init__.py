@@ -1,1 +1,1 @@
-"""What an arm has to offer to be commanded."""
+"""Commands for an arm: limits, stops, monitoring, and the execution of paths."""

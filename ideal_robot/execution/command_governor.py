@@ -1,14 +1,14 @@
-r"""Commands that keep every limit, whatever is asked for: position, speed, acceleration and jerk.
+r"""Makes commands keep every limit, whatever the input: position, speed, acceleration and jerk.
 
-Between a feedforward, which may ask for anything, and the positional interface. A command that keeps the limits, and
-from which the arm can still come to rest within them, passes unchanged; otherwise the nearest one is taken for which
-that holds. In each cycle ``T``, with ``v`` and ``a`` of the commands' own differences,
+It stands between a feedforward, whose output is arbitrary, and the positional interface. A command that keeps the
+limits, and from which the arm can still come to rest within them, passes unchanged; otherwise the nearest such command
+is used. In each cycle ``T``, with ``v`` and ``a`` of the commands' own differences,
 
 .. math::
     |a' - a| \le j_{max} T, \quad |a'| \le a_{max}, \quad v' = v + a' T, \quad |v'| \le v_{max}, \quad p' = p + v' T ,
 
-and the braking motion from ``(p', v', a')`` stays within ``p_min … p_max`` as well. Since braking on was possible in
-the cycle before, there is always such a command.
+and the braking motion from ``(p', v', a')`` stays within ``p_min … p_max`` as well. As the braking of the cycle before
+can be continued, there is always such a command.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def governed(q: Array, last: Array, T: float, bounds: Bounds) -> Array:
     """The commands of the next cycle ``(n,)``: the nearest to ``q (n,)`` that keep every limit.
 
     Args:
-        q: what is asked for; NaN asks for braking.
+        q: the requested commands; NaN requests braking.
         last: commands of the last three cycles ``(3, n)``, oldest first.
         T: cycle.
         bounds: the limits.
@@ -87,7 +87,7 @@ def governed(q: Array, last: Array, T: float, bounds: Bounds) -> Array:
         good, bad = brake, wanted
         speed = v + wanted * T
         if _can_rest(p + speed * T, speed, wanted, T, bounds, j):
-            # Within rounding of what was asked for it is what was asked for.
+            # Within rounding the requested command itself is returned.
             position = p + speed * T
             result[j] = q[j] if abs(position - q[j]) <= ROUNDING * (1.0 + abs(q[j])) * 1e-3 else position
             continue
@@ -103,7 +103,7 @@ def governed(q: Array, last: Array, T: float, bounds: Bounds) -> Array:
 
 
 def stops_at_once(step: Array, robot: Robot, t_ipo: float) -> bool:
-    """Whether a command that changed by ``step`` in the last cycle can be held from now on.
+    """Whether a command that changed by ``step`` in the last cycle can stay constant from now on.
 
     Args:
         step, t_ipo: change of the command ``(n,)`` [rad], and the cycle [s].
@@ -135,22 +135,22 @@ class CommandGovernor:
         start = np.array(q, dtype=float)
         if start.shape != (robot.n,) or not np.all((start >= low) & (start <= high)):
             raise InputError("expected a start within the joint limits", field="q", value=start.tolist())
-        # Within rounding beyond a limit an arm would refuse the command and stop at once.
+        # A command beyond a limit by rounding would stop an arm at once, so it is moved inwards.
         for limit, inward in ((low, 1.0), (high, -1.0)):
             finite = np.isfinite(limit)
             limit[finite] += inward * 3.0 * ROUNDING * (1.0 + np.abs(limit[finite]))
         self._last = np.tile(start, (3, 1))
 
     def allowed(self, q_c: Array) -> Array:
-        """The command nearest to ``q_c (n,)`` that keeps every limit, and remembers it; NaN asks for braking."""
+        """The command nearest to ``q_c (n,)`` that keeps every limit; it is stored. NaN requests braking."""
         command = governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         self.passed(command)
         return command
 
     def require_room(self, q_c: Array, *, start: float = 0.0) -> None:
-        """Refuses a command ``q_c (n,)`` [rad] that keeps the limits but leaves no room to come to rest within them.
+        """Raises LimitError for a command ``q_c (n,)`` [rad] from which the arm cannot come to rest within the limits.
 
-        Raises LimitError, whose message has the command's time ``start`` [s].
+        The message has the command's time ``start`` [s].
         """
         near = governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         off = np.abs(near - q_c) > UNRESOLVED * (1.0 + np.abs(q_c))
@@ -160,6 +160,6 @@ class CommandGovernor:
                              f"[{self._units[j]}]", float(q_c[j]), float(near[j]), "slow down before the limit")
 
     def passed(self, q_c: Array) -> None:
-        """Remembers a command ``(n,)`` that was handed over as it is, having been checked elsewhere."""
+        """Stores a command ``(n,)`` that was sent unchanged, having been checked elsewhere."""
         self._last[:2] = self._last[1:]
         self._last[2] = q_c

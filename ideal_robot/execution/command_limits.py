@@ -20,8 +20,8 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
         start: time of the first row, for the message [s].
     """
     speed = np.diff(q, axis=0) / t_ipo
-    # A linear interpolator's acceleration is what speed changes over a cycle; twice the limit is what a
-    # controller's own monitoring lets pass before it trips.
+    # A linear interpolator's acceleration is the change of speed over a cycle; controllers typically tolerate twice the
+    # limit before their monitoring trips.
     bend = np.diff(speed, axis=0) / t_ipo
     checks = (("position", "rad", q, arm.q_min, arm.q_max, "move the path"),
               ("velocity", "rad/s", speed, -arm.v_max, arm.v_max, "move slower"),
@@ -41,13 +41,13 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
 
 def require_within_limits(q_d: Array, arm: Robot, *, start: float = 0.0, file: str | Path | None = None,
                           column: str = "q_d") -> None:
-    """Refuses a user's path that leaves the arm's limits: raises InputError.
+    """Raises InputError for a user's path that leaves the arm's limits.
 
     Args:
         q_d: joint positions at the cycles ``(N, n)`` [rad].
         arm: limits and cycle.
         start: time of the first row, for the message [s].
-        file, column: where the path comes from, and what its positions are called there.
+        file, column: source of the path, and the name of its positions there.
     """
     try:
         check_limits(q_d, arm, arm.t_ipo, start=start)

@@ -1,6 +1,6 @@
-r"""Whether an arm goes where its commands lead: the measured angles against those that its loop makes of the commands.
+r"""Checks whether an arm follows its commands: measured angles against those predicted by its loop.
 
-The loop is linear enough for that: with its impulse response ``g`` the motor angles expected are
+The loop is approximately linear: with its impulse response ``g`` the expected motor angles are
 
 .. math:: \hat q(k) = q_0 + \sum_{i=0}^{L-1} g_i\, (q_c(k - i) - q_c(0)),
 
@@ -65,17 +65,17 @@ _AS_WELL = 0.1
 
 
 class Answer(Protocol):
-    """What the loop of an arm makes of commands, by every candidate for it."""
+    """Interface of predictions of motor angles from commands, by every candidate loop."""
 
     def begin(self, command: Array) -> None:
-        """The command ``(n,)`` [rad] has been in force for long."""
+        """Resets to a command ``(n,)`` [rad] that has been constant for long."""
 
     def step(self, command: Array) -> Array:
-        """Motor angles ``(C, n)`` [rad] expected at the end of a cycle with this command ``(n,)`` [rad] in force."""
+        """Predicted motor angles ``(C, n)`` [rad] at the end of a cycle with this command ``(n,)`` [rad]."""
 
 
 class KnownLoop:
-    """An identified loop's ``Answer``.
+    """The ``Answer`` of an identified loop.
 
     Args:
         response: its impulse response of each joint ``(L, n)``, the first row of the instant of the command; a cycle
@@ -87,11 +87,11 @@ class KnownLoop:
         self._given = np.zeros_like(self._response)
 
     def begin(self, command: Array) -> None:
-        """See ``Answer``."""
+        """Resets to a command ``(n,)`` [rad] that has been constant for long; see ``Answer``."""
         self._given[:] = command
 
     def step(self, command: Array) -> Array:
-        """See ``Answer``."""
+        """Predicted motor angles ``(C, n)`` [rad] at the end of a cycle; see ``Answer``."""
         self._given[1:], self._given[0] = self._given[:-1].copy(), command
         return np.asarray(np.sum(self._response * self._given, axis=0))[None]
 
@@ -113,11 +113,11 @@ class AnyLoop:
         self._answer = np.zeros((len(self._dead), len(lags), n))
 
     def begin(self, command: Array) -> None:
-        """See ``Answer``."""
+        """Resets to a command ``(n,)`` [rad] that has been constant for long; see ``Answer``."""
         self._given[:], self._answer[:] = command, command
 
     def step(self, command: Array) -> Array:
-        """See ``Answer``."""
+        """Predicted motor angles ``(C, n)`` [rad] at the end of a cycle; see ``Answer``."""
         return _answered(command, self._dead, self._share, self._given, self._answer)
 
 
@@ -178,28 +178,28 @@ def _compared(command: Array, q: Array, expected: Array, tolerance: float, forge
             off = abs(q[j] - expected[c, j]) / allowed
             if unfit[c, j] <= best + _AS_WELL and off < least[j]:
                 least[j], likely[0, j] = off, expected[c, j]
-            # What a fault does may not make another loop the likeliest: it counts once.
+            # A fault must not change which loop is the likeliest, so its influence is bounded.
             unfit[c, j] += forgets * (min(off, 1.0)**2 - unfit[c, j])
     return least, commanded, moved
 
 
 class Both:
-    """Expected angles of several loops at once: of the identified one, and of every loop of the table.
+    """Predictions of several loops at once: of the identified one, and of every loop of the table.
 
     Args:
-        known, table: what gives them; their rows follow each other.
+        known, table: the two predictions; their rows are stacked.
     """
 
     def __init__(self, known: KnownLoop, table: AnyLoop) -> None:
         self._both = known, table
 
     def begin(self, command: Array) -> None:
-        """See ``Answer``."""
+        """Resets to a command ``(n,)`` [rad] that has been constant for long; see ``Answer``."""
         for one in self._both:
             one.begin(command)
 
     def step(self, command: Array) -> Array:
-        """See ``Answer``."""
+        """Predicted motor angles ``(C, n)`` [rad] at the end of a cycle; see ``Answer``."""
         return np.concatenate([one.step(command) for one in self._both])
 
 
@@ -215,18 +215,18 @@ def _slower(response: Array, T: float) -> tuple[float, ...]:
 
 
 class Following(Watch):
-    """The arm's following among its watches.
+    """The watch that checks whether the arm follows its commands.
 
     Args:
         commanded: gives the joint angles in force at the controller ``(n,)`` [rad].
         robot: units, limits and cycle.
         response: impulse response of its loop, see ``KnownLoop``; None where none was identified.
         sure: whether that is the loop of this arm, as it is now, and not of one of its type.
-        tolerance: how far beside what is expected it may be at rest [rad].
-        cause: says of a joint, counted from 0, what its motion looks like, where it does not stand still.
-        paused: whether the controller itself says that it does not carry out commands; then the arm stands.
+        tolerance: largest deviation from the prediction at rest [rad].
+        cause: describes the motion of a joint, counted from 0, that does not follow and does not stand still.
+        paused: whether the controller itself reports that it does not execute commands; then the arm stands still.
 
-    Where no loop is surely known it speaks of joints that have followed once: of the others nothing is known.
+    Without a reliable loop only joints are checked that have followed once.
 
     Attributes:
         unread: readings further from the last than an arm can move, which were not used.
@@ -255,14 +255,14 @@ class Following(Watch):
         self._followed = np.full(robot.n, response is not None and sure)
         self._proved = np.zeros(robot.n, dtype=bool)
         self._noticed = self._astray = self._still = self._trying = self._lost = False
-        # Compiled code is loaded before an arm waits for it: compiled in a cycle it takes a second.
+        # A first call loads compiled code before an arm waits for it: compiling within a cycle takes a second.
         self._begin(rest := np.zeros(robot.n))
         expected = self._answer.step(rest) + rest
         _compared(rest, rest, expected, self._tolerance, self._forgets, self._given, self._measured, self._expected,
                   np.zeros_like(expected))
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
-        """See ``Watch.look``."""
+        """Why a motion has to end after this cycle; None where it may continue; see ``Watch.look``."""
         command = self._commanded()
         if self._rest is None:
             self._rest = q - command
@@ -275,10 +275,10 @@ class Following(Watch):
             return None
         leap = np.abs(q - self._measured[0])
         if (leap > self._jump * (1 + self._jumped)).any():
-            # One reading of its kind is missing; a second says that the encoder, or the arm, is elsewhere.
+            # One such reading is treated as missing; a second means that the encoder, or the arm, is elsewhere.
             self.unread, self._jumped = self.unread + 1, self._jumped + 1
             joint = int(np.argmax(leap / self._jump))
-            # Nothing is led to where an arm seems to be that cannot have come there.
+            # Commands do not move to an impossible measured position.
             self._lost, self._astray = self._jumped >= PATIENCE, False
             return None if not self._lost else (
                 f"the measured position of joint {joint + 1} jumped by {self._size(leap[joint], joint)}")
@@ -300,7 +300,7 @@ class Following(Watch):
 
     def _goes_on(self) -> str | None:
         """The message about an arm that seemed to be braked and moves on; None for any other."""
-        # During the trial of the path a joint may start late, held by its friction: the trial is repeated then.
+        # During the trial of the path a joint may start late because of friction: the trial is then repeated.
         if self._trying or not (self._noticed and self._still and self._braked * self._T < self._brakes):
             return None
         self._braked += 1
@@ -326,21 +326,21 @@ class Following(Watch):
 
     @property
     def stands(self) -> Array | None:
-        """See ``Watch``."""
+        """Command ``(n,)`` [rad] of the place where an arm stands that has left its commands; see ``Watch``."""
         return self._measured[0] - self._rest if self._astray and self._rest is not None else None
 
     @property
     def unsure(self) -> bool:
-        """See ``Watch``."""
+        """Whether the motion may differ from its commands, so that other checks cannot rely on them; see ``Watch``."""
         return self._doubt > _DOUBTS
 
     @property
     def passes(self) -> bool:
-        """See ``Watch``: an arm that has followed and stands still may have been paused."""
+        """Whether the finding may pass by itself, as an arm that stands still may only be paused; see ``Watch``."""
         return self._still
 
     def begin_again(self) -> None:
-        """See ``Watch``."""
+        """Restarts the check with the arm at rest at its commands, after a finding that may pass; see ``Watch``."""
         if self._rest is not None:
             self._begin(self._commanded())
             self._trying = self._still
@@ -356,11 +356,11 @@ class Following(Watch):
         """What the last cycles look like."""
         if not self._noticed:
             self._pace = np.ptp(self._expected[: PATIENCE + 1], axis=0) / (PATIENCE * self._T)
-            # With all of its acceleration an arm is braked so soon; then it shows whether it stands.
+            # Time to brake with full acceleration, after which it is known whether the arm stands still.
             self._brakes = float(np.max(self._pace / self._a_max)) + _SHOWS
             self._astray = self._behind(joint)
-            # A joint that still moves may be coming to rest. During the trial of the path one that starts late, held by
-            # its friction, is given another trial.
+            # A joint that still moves may be coming to rest. During the trial of the path, one that starts late because
+            # of friction gets another trial.
             followed = bool(self._proved[joint] or self._trying or (self._proved.any() and self._all_behind()))
             self._noticed, self._still, self._braked = True, followed and self._astray, 0
             off = abs(q[joint] - self._expected[0, joint])
@@ -396,7 +396,7 @@ class Following(Watch):
         """
         moved, expected = (float(known[0, joint] - known[: self._rows + 1][-1, joint])
                            for known in (self._measured, self._expected))
-        # A joint that was to turn round in that time has shown nothing yet by what it has gone.
+        # The displacement of a joint that was to reverse in that time does not show yet whether it follows.
         return abs(moved) <= SEEN or -_TURNS * expected**2 <= moved * expected <= expected**2
 
     def _size(self, value: float, joint: int) -> str:

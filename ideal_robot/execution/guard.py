@@ -1,15 +1,13 @@
-r"""One guard around every motion of an arm: what is looked at in each cycle, how it is stopped, how it lets go.
+r"""The guard around every motion of an arm: what is checked in each cycle, how the arm stops and retracts.
 
-A motion says where it wants to go; nothing of what guards it differs from one motion to the next. Each of the guard's
-watches (a force sensor, the arm's following, a camera) is asked in every cycle whether the motion may go on, and before
-a motion how fast each part of it may be. Where one says no, the arm is braked on what lies ahead and then led back
-along its trail, the way it came, until nothing is felt any more: what it came through is free. No other motion
-follows.
+All motions are guarded in the same way. In every cycle each of the guard's watches (a force sensor, the arm's
+following, a camera) says whether the motion may continue, and before a motion how fast each part of it may be. If one
+refuses, the arm brakes along the path ahead and then returns along its trail until there is no contact, as the trail is
+free. No other motion follows.
 
-An arm that stands still though its commands go on, because it is paused or its brakes have closed, has nothing to go
-back from: its commands are led to where it stands, so that it has nothing to make good when it is let go on, and are
-held there. Then the path is tried so slowly that an arm let go meanwhile is not torn along, and goes on from where the
-arm is as soon as it follows.
+An arm that stands still against its commands, because it is paused or its brakes are closed, need not retract: its
+commands move to where it stands and stay there, so that it does not jump when it is released. Then the path is tried so
+slowly that an arm released meanwhile is not jerked, and continues from the arm's place as soon as it follows.
 
 A path whose rows may be passed with a share :math:`r_k \le 1` of their speed is timed anew. With :math:`\sigma` the
 path's own time,
@@ -74,10 +72,10 @@ LATELY = 0.6
 
 
 class StoppedError(IdealRobotError):
-    """A motion had to end: the arm rests, and presses on nothing.
+    """A motion had to end: the arm is at rest without contact.
 
     Args:
-        reason: what was noticed, with value, limit and remedy.
+        reason: the finding, with value, limit and remedy.
     """
 
     def __init__(self, reason: str) -> None:
@@ -86,11 +84,11 @@ class StoppedError(IdealRobotError):
 
 
 class Watch(ABC):
-    """Something that is looked at in every cycle of every motion."""
+    """Interface of a check in every cycle of every motion."""
 
     @abstractmethod
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
-        """Why a motion has to end behind this cycle; None where it may go on.
+        """Why a motion has to end after this cycle; None where it may continue.
 
         Args:
             t: end of the cycle [s].
@@ -100,30 +98,30 @@ class Watch(ABC):
 
     @property
     def touching(self) -> bool | None:
-        """Whether something is touched; None where it is not known."""
+        """Whether there is contact; None where it is not known."""
         return False
 
     @property
     def stands(self) -> Array | None:
-        """Command ``(n,)`` [rad] that belongs to where an arm is that has left its commands; None where it follows."""
+        """Command ``(n,)`` [rad] of the place where an arm stands that has left its commands; None where it follows."""
         return None
 
     @property
     def unsure(self) -> bool:
-        """Whether the motion may not be what was commanded, so that nothing else is to be judged by it."""
+        """Whether the motion may differ from its commands, so that other checks cannot rely on them."""
         return False
 
     @property
     def passes(self) -> bool:
-        """Whether what was noticed may pass by itself, so that the motion can go on then."""
+        """Whether the finding may pass by itself, so that the motion can then continue."""
         return False
 
     def begin_again(self) -> None:
-        """The arm rests where its commands are, after what was noticed may have passed; see ``passes``."""
+        """Restarts the check with the arm at rest at its commands, after a finding that may pass; see ``passes``."""
         return
 
     def rates(self, rows: Array, T: float) -> Array:
-        """Largest share of its speed with which each row of a path may be passed ``(N,)``.
+        """Largest permitted share of the speed for each row of a path ``(N,)``.
 
         Args:
             rows: joint angles at the cycles ``(N, n)`` [rad].
@@ -133,14 +131,14 @@ class Watch(ABC):
 
 
 class Guard:
-    """Stops the motions of one arm, and lets go.
+    """Stops the motions of one arm, and retracts it from contact.
 
     Args:
         robot: limits and tool.
         q: where the arm rests ``(n,)`` [rad].
 
     Attributes:
-        watches: what is looked at.
+        watches: the checks of every cycle.
         reason: why no motion may go on any more; None while they may.
         held: why the motion waits; None while it goes on.
         patience: how long a motion waits at most [s].
@@ -158,11 +156,11 @@ class Guard:
         self._given: deque[Array] = deque(maxlen=round(LATELY / self._T) + 1)
         self._went_on, self._going_back, self._handed = 0, False, False
         self.begin(q)
-        # Compiled code is loaded before an arm waits for it.
+        # A first call loads compiled code before an arm waits for it.
         slowed(np.zeros((3, robot.n)), np.ones(3), self._a_max, self._T)
 
     def begin(self, q: Array) -> None:
-        """The arm rests at ``q (n,)`` [rad]: what came before is forgotten, but for the reason of a stop."""
+        """Restarts with the arm at rest at ``q (n,)`` [rad]: everything but the reason of a stop is reset."""
         self._last = np.tile(np.asarray(q, dtype=float), (2, 1))
         self._given.clear()
         self._given.append(self._last[0])
@@ -174,21 +172,21 @@ class Guard:
         self.reason = self.reason or reason
 
     def check(self) -> None:
-        """Raises ``StoppedError`` where no motion may go on."""
+        """Raises ``StoppedError`` where no motion may continue."""
         if self.reason is not None:
             raise StoppedError(self.reason)
 
     def hand_over(self, q_c: Array) -> None:
-        """A command ``(n,)`` [rad] is in force, from which the next goes on; ``look`` follows at the end of its cycle.
+        """Stores a command ``(n,)`` [rad] that was sent; ``look`` follows at the end of its cycle.
 
-        For those who ask for the next command before they look. Of others ``look`` takes it.
+        Needed only if the next command is computed before ``look``; otherwise ``look`` stores it.
         """
         self._last = np.array([self._last[1], q_c])
         self._given.append(self._last[1])
         self._handed = True
 
     def look(self, t: float, q_c: Array, q: Array) -> None:
-        """Asks every watch, behind each cycle.
+        """Runs the checks of every watch at the end of a cycle.
 
         Args:
             t: end of the cycle [s].
@@ -207,25 +205,25 @@ class Guard:
         self._went_on = 0 if self.held is not None else self._went_on + 1
         if self._went_on * self._T > _CALM:
             self._waited = 0.0
-        # What it goes back through is on the trail already.
+        # While it retracts, the places are on the trail already.
         if not self._going_back and self.touching is False and np.max(np.abs(q_c - self._came[-1])) > TRAIL_SPACING:
             self._came.append(np.array(q_c))
 
     @property
     def unsure(self) -> bool:
-        """Whether any watch doubts that the motion is what was commanded."""
+        """Whether any watch finds that the motion may differ from its commands."""
         return any(watch.unsure for watch in self.watches)
 
     @property
     def touching(self) -> bool | None:
-        """Whether any watch feels a touch; None where none does and one does not know."""
+        """Whether any watch finds contact; None where none does and one does not know."""
         felt = [watch.touching for watch in self.watches]
         return True if True in felt else None if None in felt else False
 
     def back_to_arm(self, q_c: Array) -> Array | None:
-        """Way ``(n,)`` [rad] from a command ``(n,)`` [rad] to where the arm stands; None where it follows.
+        """Displacement ``(n,)`` [rad] from a command ``(n,)`` [rad] to where the arm stands; None where it follows.
 
-        Commanded there it does not leap when it is let go on.
+        Commanded there, the arm does not jump when it is released.
         """
         stands = self._stands
         return None if stands is None else stands - q_c
@@ -241,7 +239,7 @@ class Guard:
         return next((watch.stands for watch in self.watches if watch.stands is not None), None)
 
     def around(self, arm: RobotInterface) -> Cycle:
-        """The cycles of an arm, each of which is looked at."""
+        """An arm's cycle function with the guard's check after each cycle."""
         def cycle(q_c: Array) -> RobotState:
             state = arm.cycle(q_c)
             self.look(state.t, q_c, state.q)
@@ -250,7 +248,7 @@ class Guard:
         return cycle
 
     def timed(self, rows: Array) -> Array:
-        """The path of ``rows (N, n)`` [rad], from rest to rest, no faster than every watch lets it be ``(M, n)``."""
+        """The path ``rows (N, n)`` [rad] retimed from rest to rest, as fast as every watch permits ``(M, n)``."""
         T = self._T
         if len(rows) < 3 or not self.watches:
             return rows
@@ -260,15 +258,15 @@ class Guard:
         return at_cycles(rows, slowed(rows, rate, self._a_max, T), T)
 
     def lead(self, cycle: Cycle, rows: Array) -> None:
-        """Leads an arm through ``rows (N, n)`` [rad] from rest to rest, as fast as it may be.
+        """Moves an arm along ``rows (N, n)`` [rad] from rest to rest, as fast as every watch permits.
 
-        Raises ``StoppedError`` where it had to end; the arm then rests on the path, or as far back on it as it had to
-        go to touch nothing.
+        Raises ``StoppedError`` where it had to end; the arm then is at rest on the path, or further back on it without
+        contact.
         """
         self.go(cycle, self.timed(rows))
 
     def go(self, cycle: Cycle, rows: Array) -> None:
-        """``lead`` for rows that are ``timed`` already."""
+        """Moves an arm along rows that ``timed`` has already retimed; see ``lead``."""
         self.check()
         with self.motion(cycle):
             for q_c in self.along(rows):
@@ -276,17 +274,17 @@ class Guard:
             self.check()
 
     def along(self, rows: Array) -> Iterator[Array]:
-        """Commands ``(n,)`` [rad] along rows ``(N, n)`` [rad], each to be handed over before the next is asked for.
+        """Yields commands ``(n,)`` [rad] along rows ``(N, n)`` [rad], each to be sent before the next.
 
-        Where the motion is held they wait for the arm and go on; where it is stopped they end braked on the path.
+        While the arm is paused they wait and then continue; after a stop they brake on the path and end.
         """
         for q_c, *_ in self.steps(rows):
             yield q_c
 
     def steps(self, rows: Array, *beside: Array) -> Iterator[tuple[Array, ...]]:
-        """``along``, and with each command what goes along with its row, of each of ``beside (N, …)``.
+        """As ``along``; each command comes with the rows of ``beside (N, …)`` at its place.
 
-        While the arm is waited for that is what belongs to where it is held.
+        While the arm is paused these are the rows of its place.
         """
         k = 0
         while k < len(rows):
@@ -307,28 +305,28 @@ class Guard:
 
     @contextmanager
     def motion(self, cycle: Cycle) -> Iterator[None]:
-        """Brings the arm to rest, away from what it touches, where the motion in the block ends early."""
+        """Brings the arm to rest without contact where the motion in the block ends early."""
         try:
             yield
         except IdealRobotError:
-            # Where the arm is gone there is nothing to be led back.
+            # If the link to the arm is lost, it cannot be moved back.
             with suppress(IdealRobotError):
                 for q_c in self.leaving():
                     cycle(q_c)
             raise
 
     def leaving(self) -> Iterator[Array]:
-        """Commands ``(n,)`` [rad] to rest, and back along the trail until nothing is felt any more.
+        """Yields commands ``(n,)`` [rad] to rest, and back along the trail until there is no contact.
 
-        The commands of an arm that has not followed them are led to where it stands instead of being braked ahead.
+        If the arm has not followed, its commands move to where it stands instead of braking ahead.
         """
         yield from self.braking() if self._stands is None else self._to_arm()
         yield from self.back()
 
     def waiting(self) -> Iterator[Array]:
-        """Commands ``(n,)`` [rad] to where an arm stands that is ``held``, and there for a while.
+        """Yields commands ``(n,)`` [rad] to where a paused arm stands, and there for a while.
 
-        Behind them the motion may be tried again, unless it was stopped meanwhile: after ``patience``, too.
+        Then the motion may be tried again, unless it was stopped meanwhile, as after ``patience``.
         """
         yield from self._to_arm()
         now = self._last[1]
@@ -336,7 +334,7 @@ class Guard:
             if self.reason is not None:
                 return
             yield now
-        # Moved by hand meanwhile, or let go just then.
+        # The arm was moved by hand meanwhile, or is released just now.
         yield from self._to_arm()
         for watch in self.watches:
             watch.begin_again()
@@ -346,19 +344,19 @@ class Guard:
         self.held = None
 
     def resumed(self, rows: Array, k: int, *beside: Array) -> tuple[Array, ...]:
-        """What is left of a path for an arm that rests where it was held on it, and of what goes along with it.
+        """The rest of a path from where a paused arm stands, and the rest of the arrays beside it.
 
         It begins at the place that is nearest to the arm, slowly until the arm has shown that it follows.
 
         Args:
             rows: joint angles at the cycles ``(N, n)`` [rad].
-            k: row in which the arm was held.
-            beside: what belongs to each row ``(N, …)``.
+            k: row at which the arm was paused.
+            beside: further arrays with one entry per row ``(N, …)``.
         """
         now, T, small = self._last[1], self._T, probed(self._a_max, self._T)
         begin = max(k - round(LATELY / T), 0)
         nearest = max(begin + int(np.argmin(np.max(np.abs(rows[begin : k + 1] - now), axis=1))) - 1, 0)
-        # Places so near to each other that the slow begin is some of them.
+        # Places so close to each other that the slow begin has several of them.
         part = rows[nearest : nearest + round(_RAMPS / T) + 2]
         fine = int(np.clip(np.ceil(np.max(np.abs(np.diff(part, axis=0)), initial=0.0) / (0.25 * small)), 1, FINEST))
         places = np.arange(fine * (len(part) - 1) + 1) / fine
@@ -377,7 +375,7 @@ class Guard:
                               np.concatenate([places, rest])[:, None])[:, 0]
         left, *others = (interpolated(passed, np.arange(float(len(rows))), values.reshape(len(rows), -1)
                                       ).reshape(-1, *values.shape[1:]) for values in (rows, *beside))
-        # Where it was held it may stand beside the path, to which it comes as slowly.
+        # The paused arm may be beside the path and approaches it as slowly.
         off = now - left[0]
         lasts = max(float(np.max(np.abs(off))) / (0.5 * probing_speed(self._a_max, T)), T)
         share = np.minimum(T * np.arange(1.0, len(left) + 1.0) / lasts, 1.0)[:, None]
@@ -397,10 +395,10 @@ class Guard:
                 return
             came = np.array(self._given)
             beside = np.max(np.abs(came - stands), axis=1)
-            # The trail begins where the commands were there last.
+            # The trail begins at the last command near that place.
             came = came[int(np.flatnonzero(beside <= beside.min() + probed(self._a_max, self._T))[-1]) :]
             begin = float(len(came) - 1)
-            # Straight on while it is braked.
+            # The arm continues straight on while it brakes.
             line = np.vstack([came, now + (now - last) * np.arange(1.0, _LONGEST / self._T)[:, None]])
             step = np.max(np.abs(np.diff(line, axis=0)), axis=0)
             if begin == 0.0 or np.max(step) < ROUNDING:
@@ -419,7 +417,7 @@ class Guard:
                 yield interpolated(at, rows, line)[0] + off
 
     def braking(self, ahead: Array | None = None) -> Iterator[Array]:
-        """Commands ``(n,)`` [rad] to rest along the rows ``ahead (m, n)`` of the motion, straight on without them."""
+        """Yields commands ``(n,)`` [rad] to rest along the rows ``ahead (m, n)``, straight on without them."""
         last, now = self._last
         step = now - last
         if np.max(np.abs(step)) < ROUNDING:
@@ -434,9 +432,9 @@ class Guard:
             yield horizon[1]
 
     def back(self) -> Iterator[Array]:
-        """Commands ``(n,)`` [rad] from rest back along the trail until nothing is felt any more; none where nothing is.
+        """Yields commands ``(n,)`` [rad] from rest back along the trail until there is no contact.
 
-        Its places are worked out as they come.
+        They are computed one by one.
         """
         touching = self.touching
         if touching is False:
@@ -457,7 +455,7 @@ class Guard:
         self._going_back = False
 
 
-# A path that is passed more slowly than it was planned, and a try whether an arm follows.
+# Slowing a path down, and trying whether an arm follows.
 
 PROVED = 4.0
 """Ways by which a standstill is noticed while the path is tried, after which an arm that goes along follows."""
@@ -468,15 +466,15 @@ _ANSWERED = 0.1
 
 
 def accelerations(robot: Robot) -> Array:
-    """Limits of the joints' accelerations ``(n,)`` [rad/s²], with ``_FASTEST_UNKNOWN`` where none is known."""
+    """Acceleration limits of the joints ``(n,)`` [rad/s²], ``_FASTEST_UNKNOWN`` where unknown."""
     return np.where(np.isfinite(robot.a_max), robot.a_max, _FASTEST_UNKNOWN)
 
 
 def probed(a_max: Array, T: float) -> float:
-    """How far ahead of an arm that stands a path that is tried may be [rad].
+    """Largest distance of a tried path ahead of an arm that stands still [rad].
 
-    A controller let go on just then makes it good in one cycle with half of the weakest joint's acceleration, where
-    encoders resolve that: behind cycles of 5 ms and longer they do.
+    A controller released just then covers it in one cycle with half of the weakest joint's acceleration. Encoders
+    resolve it for cycles of 5 ms and longer.
 
     Args:
         a_max: accelerations of the joints ``(n,)`` [rad/s²].
@@ -486,7 +484,7 @@ def probed(a_max: Array, T: float) -> float:
 
 
 def probing_speed(a_max: Array, T: float) -> float:
-    """Speed of the joints at which a path is tried [rad/s]: until a slow loop answers no further than ``probed``."""
+    """Speed of the joints at which a path is tried [rad/s]: ``probed`` within the time of a slow loop's response."""
     return probed(a_max, T) / _ANSWERED
 
 
@@ -500,7 +498,7 @@ def _passed(rate: Array, change: Array, T: float) -> None:
 
 
 def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
-    """Instants ``(N,)`` [s] at which the rows of a path are passed, each with at most a share of its speed.
+    """Instants ``(N,)`` [s] of the rows of a path when each is passed with at most a share of its speed.
 
     Args:
         rows: joint angles at the cycles ``(N, n)`` [rad].
@@ -511,7 +509,7 @@ def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
     if len(rows) < 3:
         return np.asarray(T * np.arange(float(len(rows))))
     rate = np.clip(rate, SLOWEST_RATE, 1.0)
-    # Of the two steps beside each row the faster one: between rows the path is straight.
+    # The faster of the two steps at each row, as the path is straight between rows.
     step = np.abs(np.diff(rows, axis=0)) / T
     speed = np.maximum(np.vstack([step[:1], step]), np.vstack([step, step[-1:]]))
     with np.errstate(divide="ignore"):
@@ -522,7 +520,7 @@ def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
 
 
 def at_cycles(values: Array, instants: Array, T: float) -> Array:
-    """Values ``(M, …)`` at the cycles of what is known at other instants.
+    """Values ``(M, …)`` interpolated from other instants to the cycles.
 
     Args:
         values: at the instants ``(N, …)``.

@@ -1,4 +1,4 @@
-"""Coming to rest on the planned path when it cannot go on: the path stays, only its time slows down."""
+"""Brings the arm to rest on the planned path: the path is kept, only its time slows down."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ideal_robot.arrays import Array, eased
 
 
 def stopping_rows(planned: Array, T: float, speed: float, deceleration: float) -> Iterator[Array]:
-    r"""Horizons ``(n_d, n)`` for the coming cycles that brake to rest on the path planned so far, without end.
+    r"""Yields horizons ``(n_d, n)`` for the coming cycles that brake to rest on the last plan, without end.
 
     Time along the path runs at the rate :math:`\dot\sigma`, which falls from 1 to 0 on a smooth cubic within
     :math:`1.5\, v / a`, the time in which the largest deceleration is ``a``; shorter if the plan ends before.
@@ -46,14 +46,14 @@ feedforward knows the gears, then have up to 0.8 of the limits."""
 
 
 def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) -> Iterator[Array]:
-    """The same horizons ``(n_d, n)``, on which every joint is moved by a way in the end.
+    """Adds to horizons ``(n_d, n)`` a smooth displacement of every joint, complete at the end.
 
-    It begins without a step of the acceleration and takes ``_SHARE`` of what the joints may have: the rest is for
-    braking, and for what a feedforward adds to the command.
+    It begins without a step of the acceleration and uses ``_SHARE`` of the joints' acceleration limits: the rest is for
+    braking and for the feedforward.
 
     Args:
         horizons: of the coming cycles, without end [rad].
-        way, a_max: of each joint ``(n,)`` [rad], and what it may accelerate ``(n,)`` [rad/s²].
+        way, a_max: displacement of each joint ``(n,)`` [rad], and its acceleration limit ``(n,)`` [rad/s²].
         T: interpolation cycle [s].
     """
     lasts = max(float(np.sqrt(np.max(_STEEPEST * np.abs(way) / (_SHARE * a_max)))), T)

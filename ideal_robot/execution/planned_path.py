@@ -1,4 +1,4 @@
-"""Joint paths as planners give them: columns of a table or recording, and ROS's JointTrajectory in JSON or a bag."""
+"""Reads joint paths of planners: columns of a table or recording, or ROS's JointTrajectory in JSON or a bag."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _WITHIN = ("moveit_msgs/msg/RobotTrajectory", "moveit_msgs/msg/DisplayTrajectory
 
 @dataclass(frozen=True)
 class GivenPath:
-    """A joint path as it was planned.
+    """A joint path as it was read.
 
     Attributes:
         t: times of the points ``(N,)`` [s].
         q_d: positions ``(N, n)`` [rad, or m where a joint slides].
-        column: what the positions are called where the path comes from, for messages.
-        warnings: what was left out or put in order.
-        commands: what the file says was commanded along it ``(N, n)`` [rad], where its positions are others; else None.
+        column: name of the positions in the path's source, for messages.
+        warnings: samples that were dropped or reordered.
+        commands: commands along it in the file ``(N, n)`` [rad], where they differ from its positions; else None.
     """
 
     t: Array
@@ -49,8 +49,8 @@ class GivenPath:
 def read_path(path: Path, robot: Robot) -> GivenPath:
     """The joint path in a file for an arm: a JointTrajectory, or columns of a recording.
 
-    Of a recording ``q_d`` comes before ``q`` before ``q_c``: commands alone, as of a planned motion, are a path too. A
-    JointTrajectory's points are joined as ROS's controller does: by cubics where they have velocities, by quintics
+    From a recording ``q_d`` is used, else ``q``, else ``q_c``: commands alone, as of a planned motion, are a path too.
+    A JointTrajectory's points are joined as ROS's controller does: by cubics where they have velocities, by quintics
     where they have accelerations, too.
 
     Args:
@@ -184,13 +184,13 @@ def _trajectory(message: Mapping[str, Any], robot: Robot, path: Path) -> GivenPa
     known = [values[rows] for values in (q, speed, acceleration) if values is not None]
     joined = BPoly.from_derivatives(t, np.stack(known, axis=1))
     grid = instants_of(t, robot.t_ipo)
-    # A path that has to be sampled anew needs some samples, however short it is.
+    # A resampled path needs at least some samples, however short it is.
     grid = grid if len(grid) >= FEW else np.linspace(t[0], t[-1], FEW)
     return GivenPath(grid, np.asarray(joined(grid)), "positions", (*warnings, *said))
 
 
 def instants_of(t: Array, t_ipo: float) -> Array:
-    """Instants of the cycles ``(K,)`` [s] that a path is played in.
+    """Instants of the cycles ``(K,)`` [s] in which a path is executed.
 
     The last cycle is the one in which the path's end is reached, wherever in it that lies.
 
@@ -208,7 +208,7 @@ def _order(names: Sequence[str], robot: Robot, path: Path) -> tuple[list[int], t
         others = [name for name in names if name not in own]
         said = (f"joints left out that are not the arm's: {', '.join(others)}",) if others else ()
         return [names.index(name) for name in own], said
-    # A prefix of the cell, as of two arms in one.
+    # The names may have a common prefix of the arm in its cell, as with two arms.
     ends = [[i for i, name in enumerate(names) if name.endswith(joint)] for joint in own]
     if all(len(found) == 1 for found in ends):
         return [found[0] for found in ends], ()
@@ -244,15 +244,15 @@ def _values(points: Sequence[Any], key: str, count: int, order: Sequence[int], p
     return np.array(rows, dtype=float)[:, list(order)]
 
 
-# Points that are there twice, and few of them.
+# Duplicate points, and paths with few points.
 
 def distinct(t: Array, q: Array, file: str | None, column: str
              ) -> tuple[Array, NDArray[np.int_], tuple[str, ...]]:
-    """Times ``(M,)`` [s] and rows ``(M,)`` of a path's points, each once, and a warning of those left out.
+    """Times ``(M,)`` [s] and rows ``(M,)`` of a path's points without duplicates, and warnings of the dropped ones.
 
     Args:
         t, q: times ``(N,)`` [s] and positions ``(N, n)`` [rad or m].
-        file, column: where they come from, and what the positions are called, for messages.
+        file, column: source of the points, and the name of their positions, for messages.
 
     Raises:
         InputError: times that fall, two positions at one time; names the sample.
@@ -282,7 +282,7 @@ def through_few(t: Array, q: Array, grid: Array) -> Array:
 
     Args:
         t, q: times ``(N,)`` [s] and positions ``(N, n)`` of the points, two or more.
-        grid: where it is wanted ``(M,)`` [s].
+        grid: instants of the result ``(M,)`` [s].
     """
     still = [(1, np.zeros(q.shape[1])), (2, np.zeros(q.shape[1]))]
     return np.asarray(make_interp_spline(t, q, k=5, bc_type=(still, still))(grid))

@@ -1,4 +1,4 @@
-"""Plays a joint path on any arm behind the positional interface: corrected, recorded, within the limits."""
+"""Executes a joint path on any arm behind the positional interface: corrected, recorded, within the limits."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ LONGEST_STOP = 5.0
 
 @dataclass(frozen=True, repr=False)
 class PlayResult(Summarised):
-    """A path that was played, whole or up to where it had to be stopped.
+    """The result of a path's execution, complete or up to a stop.
 
     Attributes:
         recording: ``t`` [s], ``q_d_i``, ``q_c_i`` handed over at ``t``, ``q_i`` and ``tau_i`` measured at ``t``; from
             the end of the first cycle on, since before nothing was measured.
         q_c: every command handed over ``(M, n)`` [rad].
-        compute_times: what the feedforward took in each cycle of the path ``(M,)`` [s].
+        compute_times: computing time of the feedforward in each cycle of the path ``(M,)`` [s].
         state: the feedforward's last state.
-        failure: why the path was not played to its end, or None.
-        error: what the driver raised, or None.
+        failure: why the path was not executed to its end, or None.
+        error: the driver's exception, or None.
         units: of a thousandth of each joint's position, mrad or mm ``(n,)``; empty where no robot was given.
     """
 
@@ -62,7 +62,7 @@ class PlayResult(Summarised):
         return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
 
     def summary(self) -> list[tuple[str, str]]:
-        """How much was played, and how well."""
+        """Executed part of the path, and its errors, as rows of label and value."""
         unit = one_unit(self.units) or "mrad or mm"
         return [("play", f"{len(self.q_c)} cycles, {self.failure or 'played to its end'}"),
                 ("rms of desired minus motor position", listed(1e3 * self.rms_error, unit)),
@@ -76,7 +76,7 @@ class PlayResult(Summarised):
                                             for j, unit in enumerate(units)], "error of the motor positions")
 
     def to_dict(self) -> dict[str, Any]:
-        """Key figures as plain values; what is called mrad is of each joint in the unit of ``units``."""
+        """Key figures as plain values; keys with ``mrad`` use each joint's unit in ``units``."""
         return plain({
             "cycles": len(self.q_c), "failure": self.failure, "units": self.units,
             "motor_rms_error_mrad": 1e3 * self.rms_error,
@@ -87,22 +87,22 @@ class PlayResult(Summarised):
 
 def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot: Robot | None = None,
          meta: dict[str, Any] | None = None, progress: Progress = silent) -> PlayResult:
-    """Plays a path, from rest at its start, where the arm has to stand.
+    """Executes a path from rest at its start, where the arm has to be.
 
     Where a command would leave a limit the arm is brought to rest on the path and the rest of it is given up. An error
-    of the driver ends the play; what was recorded until then is kept.
+    of the driver ends the execution; the recording until then is kept.
 
     Args:
         driver: the arm.
-        feedforward: what corrects the path, see ``ideal_robot.feedforward``.
+        feedforward: corrects the path, see ``ideal_robot.feedforward``.
         q_d: desired joint positions at the cycles ``(N, n)`` [rad, or m where a joint slides], rest before and behind
             included.
         robot: limits to keep; None where the driver keeps its own.
-        meta: what the recording's metadata shall hold besides.
+        meta: further metadata of the recording.
         progress: called with the share done.
 
     Raises:
-        InputError: a path that cannot be played, a feedforward made for another cycle.
+        InputError: an unusable path, or a feedforward made for another cycle.
     """
     path = _checked(q_d, robot)
     tried(feedforward, path[0], driver.t_ipo)
@@ -121,13 +121,13 @@ def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot:
 
 
 class PathCommands:
-    """Commands of a feedforward along a path, cycle by cycle, each with the desired position it is for.
+    """Commands of a feedforward along a path, cycle by cycle, each with its desired position.
 
-    The path may be passed more slowly than it was planned: places on it are rows, with what lies between them, and the
-    rate is how many rows a cycle takes.
+    The path may be passed more slowly than it was planned: places on it are fractional row numbers, and the rate is the
+    number of rows per cycle.
 
     Args:
-        feedforward: what corrects the path; who plays it may give ``state`` what was measured between two commands.
+        feedforward: corrects the path; ``observe`` may update its state between two commands.
         path: desired joint positions at the cycles ``(N, n)`` [rad].
         robot: whose limits are kept; None where whoever takes the commands keeps them.
         T: cycle [s].
@@ -141,7 +141,7 @@ class PathCommands:
         self._governor = None if robot is None else CommandGovernor(robot, path[0], t_ipo=T)
 
     def row(self, place: float, rate: float = 1.0) -> tuple[Array, Array]:
-        """What is desired at a place of the path and its command, ``(n,)`` each [rad].
+        """Desired position at a place of the path and its command, ``(n,)`` each [rad].
 
         Raises LimitError where that would leave a limit.
         """
@@ -154,7 +154,7 @@ class PathCommands:
         return self._handed_over(horizon[0], q_c, after)
 
     def rate_behind(self, place: float, rate: float, wanted: float) -> float:
-        """The rate of the next cycle, within the joints' accelerations.
+        """The rate of the next cycle towards ``wanted``, within the joints' accelerations.
 
         Args:
             place, rate: of this cycle.
@@ -169,11 +169,11 @@ class PathCommands:
         return float(np.clip(wanted, rate - most, rate + most))
 
     def brake(self, place: float, rate: float = 1.0) -> Iterator[tuple[Array, Array]]:
-        """Yields cycles that brake to rest on the path, from a place on that has not been commanded yet."""
+        """Yields cycles that brake to rest on the path, starting from a place not yet commanded."""
         if self.robot is None:
             return
         ahead = self._horizon(place, rate, 2)
-        # How fast the path is, as a share of what the joints may brake with.
+        # Speed of the path, in units of the joints' braking acceleration.
         speed = float(np.max(np.abs(ahead[1] - ahead[0]) / self._T / self.robot.a_max))
         braking, n_d = max(speed, _BRAKING_MIN), self.feedforward.n_d
         cycles = int(np.ceil((min(1.5 * braking, LONGEST_STOP) + _STANDING) / self._T))
@@ -191,18 +191,18 @@ class PathCommands:
         at = np.minimum(place + rate * np.arange(count), last - 2.0)
         k = at.astype(int)
         u = (at - k)[:, None]
-        # Catmull and Rom's cubic: through the rows, with the slope of their neighbours.
+        # Cubic of Catmull and Rom: through the rows, with slopes from their neighbours.
         before, here, there, behind = (self._ahead[np.clip(k + i, 0, last)] for i in (-1, 0, 1, 2))
         return np.asarray(here + 0.5 * u * (there - before + u * (
             2.0 * before - 5.0 * here + 4.0 * there - behind + u * (3.0 * (here - there) + behind - before))))
 
     def governed(self, horizon: Array) -> tuple[Array, Array]:
-        """The command for a horizon ``(n_d, n)`` [rad], as near as the limits let it come."""
+        """The command for a horizon ``(n_d, n)`` [rad], limited to the nearest one within the arm's limits."""
         q_c, after = self._step(horizon)
         return self._handed_over(horizon[0], q_c if self._governor is None else self._governor.allowed(q_c), after)
 
     def observe(self, measured: RobotState) -> None:
-        """Gives the feedforward what the controller reported at the end of a cycle."""
+        """Passes the controller's report at the end of a cycle to the feedforward."""
         with RaisedBy(f"feedforward {type(self.feedforward).__name__}: observe"):
             self.state = self.feedforward.observe(self.state, measured)
 
@@ -215,7 +215,7 @@ class PathCommands:
         return q_d, q_c
 
     def to_rest(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
-        """Yields cycles that bring commands which end in motion to rest at ``q_d (n,)`` [rad] within the limits."""
+        """Yields cycles that bring commands from motion to rest at ``q_d (n,)`` [rad] within the limits."""
         if self.robot is None or stops_at_once(self._last[1] - self._last[0], self.robot, self._T):
             return
         for _ in range(int(np.ceil(LONGEST_STOP / self._T))):

@@ -1,4 +1,4 @@
-"""Corrects a joint path for a controller that knows nothing of models: arrays in, commands out."""
+"""Corrects a joint path for a controller without models: arrays in, commands out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import MOST_LEFT_OUT, checked_time, require_joint_units
 from ideal_robot.signals.recording import Recording, expect
 
-# A path of whatever sampling at the interpolation cycle, with rest before and behind.
+# Resamples a path to the interpolation cycle, with rest before and after.
 
 DRAWS = 10
 """Controllers that are drawn where only their spread is known."""
@@ -50,16 +50,16 @@ _MISSING = 1.5
 
 def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str | None = None, column: str = "q_d"
                    ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Times ``(M,)`` [s], positions ``(M, n)`` [rad] at the cycles, rest included; warnings of its samples.
+    """Times ``(M,)`` [s] and positions ``(M, n)`` [rad] at the cycles, with rest; and warnings about the samples.
 
-    A sample given twice is left out, through fewer than six a smooth path from rest to rest is led, and missing ones
-    are bridged; each is said.
+    Duplicate samples are dropped, fewer than six are joined by a smooth path from rest to rest, and missing ones are
+    interpolated; each with a warning.
 
     Args:
         t, q_d: times of the path ``(N,)`` [s], and joint positions ``(N, n)`` [rad, or m where a joint slides].
         robot: cycle, number of joints, limits.
         rest: added before the path [s]; ``REST_AFTER`` is added behind.
-        file, column: where the path comes from, and what its positions are called there, for messages.
+        file, column: source of the path, and the name of its positions there, for messages.
 
     Raises:
         InputError: shapes that do not fit, fewer than two samples, times that fall, two positions at one time, a gap,
@@ -121,7 +121,7 @@ def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str,
     usual = float(np.median(steps))
     if len(t) < FEW:
         return (f"sparse: the path has {len(t)} points; a smooth one from rest to rest is led through them",)
-    # More of them are the path's own times.
+    # If more are missing, these are the path's own times.
     if not 0.0 < np.mean(steps > _MISSING * usual) <= MOST_LEFT_OUT:
         return ()
     gaps = np.flatnonzero(steps > _MISSING * usual)
@@ -155,7 +155,7 @@ def _between(t: Array, q_d: Array, grid: Array, robot: Robot, file: str | None) 
 
 @dataclass(frozen=True, repr=False)
 class PrecorrectedPath(Summarised):
-    """A path and what became of it, at the interpolation cycle, rest before and behind included.
+    """A corrected path with its expected errors, at the interpolation cycle, rest at both ends included.
 
     Attributes:
         recording: ``t``, ``q_c_i``, ``q_d_i``, to be written to a file.
@@ -164,10 +164,10 @@ class PrecorrectedPath(Summarised):
         t: ``(N,)`` [s].
         q_d, q_c: desired and commanded ``(N, n)`` [rad].
         expected: size of the error that the model still expects with the commands, and the error without ``(N, n)``
-            each [rad]; the first has in it what the model left of its own recordings.
-        reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
+            each [rad]; the first includes the model's residual on its own recordings.
+        reach: root mean square of the first error with each of ``DRAWS`` controllers drawn from the model's uncertainty
             ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
-        warnings: what was not checked, and where samples of the path are missing.
+        warnings: unchecked assumptions, and missing samples of the path.
         units: of a thousandth of each joint's position, mrad or mm ``(n,)``.
     """
 
@@ -190,12 +190,12 @@ class PrecorrectedPath(Summarised):
 
     @property
     def beyond_uncorrected(self) -> tuple[int, ...]:
-        """Joints, from 1, in which a controller of the spread makes the correction worse than none."""
+        """Joints, from 1, in which a controller within the uncertainty makes the correction worse than none."""
         worst = np.zeros(self.q_d.shape[1]) if self.reach is None else self.reach.max(axis=0)
         return tuple(int(j) + 1 for j in np.flatnonzero(worst > self.expected_rms[1]))
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was corrected, and the error that the model expects to be left."""
+        """Method and expected errors as rows of label and value."""
         after, before = (1e3 * rms for rms in self.expected_rms)
         unit = one_unit(self.units)
         rows = [("path", f"{self.robot_name!r}, {self.method}: {len(self.t)} cycles, {self.t[-1] - self.t[0]:.4g} s"),
@@ -212,7 +212,7 @@ class PrecorrectedPath(Summarised):
                                   for j, unit in enumerate(self.units)], f"expected error, {self.method}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Key figures as plain values; what is called mrad is of each joint in the unit of ``units``."""
+        """Key figures as plain values; keys with ``mrad`` use each joint's unit in ``units``."""
         after, before = (1e3 * rms for rms in self.expected_rms)
         return plain({
             "method": self.method, "robot": self.robot_name, "cycles": len(self.t), "duration_s": float(self.t[-1]),
@@ -233,12 +233,12 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
         q_d: desired joint positions ``(N, n)`` [rad, or m where a joint slides].
         model: identified model of the arm.
         robot: cycle and limits.
-        method: a method that needs no plays on the arm, see ``ideal_robot.methods``.
+        method: a method that needs no runs on the arm, see ``ideal_robot.methods``.
         delay: cycles between hand-over of a command and the start of its interpolation.
         rest: added before the path, for the gears' deflection [s].
         slow: slow the path along itself where it or its commands leave a limit; else such a path is refused.
         file: where the path comes from, for messages.
-        column: what its positions are called there.
+        column: name of its positions there.
 
     Raises:
         InputError: unsuitable input, or a path outside the limits.
@@ -256,7 +256,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
         require_within_limits(path, robot, start=-rest, file=source, column=column)
 
     def corrected(path: Array) -> Array:
-        # Learning on the model starts from the ideal robot, which leaves little to learn.
+        # Learning on the model starts from the ideal robot, whose residual error is small.
         start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "learned-model" else None
         return feedforward(method, model, robot, delay=delay, q_d=path, q_c=start).along(path)
 
@@ -274,12 +274,12 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     recording = Recording.from_arrays(
         times, meta={"robot": robot.name, "cycle_time": robot.t_ipo, "method": method, "source": "precorrect",
                      "units": {"t": "s", "q_c": unit, "q_d": unit}}, q_c=q_c, q_d=path)
-    # Of an arm whose geometry is not the drawn one, other joint angles bring the tool where the path wants it.
+    # For an arm with geometric errors other joint angles bring the tool to the path.
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     if loop is not None:
         errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
         if model.command is not None and method != "none":
-            # What the loop left of its recordings it leaves here as well.
+            # The loop's residual on its recordings is expected here as well.
             motion = Motion.of(wanted, robot.t_ipo, model.command.still)
             errors[0] = np.sqrt(errors[0] ** 2 + model.command.cascade_variance(motion))
             if (doubt := model.command.doubt) is not None:

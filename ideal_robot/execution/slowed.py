@@ -1,4 +1,4 @@
-"""Slows a joint path along itself, just where its commands leave a limit of the arm."""
+"""Slows a joint path along itself where its commands leave a limit of the arm."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SLOWEST = 0.05
 
 @dataclass(frozen=True)
 class SlowedPath:
-    """A path within the limits.
+    """A path slowed into the limits.
 
     Attributes:
         q_d, q_c: desired and commanded positions at the cycles ``(M, n)`` [rad].
@@ -62,7 +62,7 @@ def slowed(q_d: Array, correct: Callable[[Array], Array], robot: Robot, *, every
         if not np.any(over > 1.0):
             return SlowedPath(path, q_c, at, float(_smooth(share, reach).min()))
         less = np.interp(rows, at, 1.0 / np.where(over > 1.0, SLOWED_BESIDES * over, 1.0))
-        # Between two cycles a single one that is too fast must not be lost.
+        # The largest demand between two cycles is kept, so that a single sample is not lost.
         np.minimum.at(less, np.clip(np.round(at).astype(int), 0, len(rows) - 1), 1.0 / np.maximum(over, 1.0))
         share = share * (less.min() if everywhere else minimum_filter1d(less, 2 * reach + 1))
         if share.min() < _SLOWEST:
@@ -77,7 +77,7 @@ def _smooth(share: Array, reach: int) -> Array:
     """Shares ``(N,)`` that change over twice ``reach`` rows and are nowhere above those given."""
     window = np.hanning(2 * reach + 3)[1:-1]
     most = 1.0 - minimum_filter1d(share, 2 * reach + 1)
-    # Of what is missing to 1, so that a share of 1 stays 1 however the sum is rounded.
+    # Computed on the difference to 1, so that a share of 1 stays exactly 1 despite rounding.
     return np.asarray(1.0 - np.convolve(np.pad(most, reach, mode="edge"), window / window.sum(), mode="valid"))
 
 
@@ -86,7 +86,7 @@ def _cycles(share: Array) -> Array:
     if np.all(share == 1.0):
         return np.arange(float(len(share)))
     time = np.concatenate([[0.0], np.cumsum(2.0 / (share[1:] + share[:-1]))])
-    # The last cycle is the one in which the path's end is reached.
+    # The path's end is reached within the last cycle.
     at = PchipInterpolator(time, np.arange(float(len(share))))(np.arange(np.ceil(time[-1])))
     return np.append(np.clip(at, 0.0, len(share) - 1.0), len(share) - 1.0)
 
@@ -99,6 +99,6 @@ def _beyond(q: Array, robot: Robot) -> Array:
     over[1:] = np.maximum(over[1:], np.max(np.abs(speed) / robot.v_max, axis=1))
     over[2:] = np.maximum(over[2:], np.max(np.sqrt(np.abs(bend) / (2.0 * robot.a_max)), axis=1))
     outside = np.any((q < robot.q_min) | (q > robot.q_max), axis=1)
-    # What a position is beyond by is a correction's, which falls with speed.
+    # A position beyond a limit is caused by the correction, which decreases with speed.
     over[outside] = np.maximum(over[outside], 1.1)
     return over

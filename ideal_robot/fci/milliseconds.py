@@ -1,14 +1,14 @@
 r"""Answers Franka's controller every millisecond from commands that are known some milliseconds ahead.
 
-A command a cycle ``T`` makes that of each millisecond by a quadratic B-spline, whose speed is continuous and whose
+One command per cycle ``T`` is interpolated to milliseconds by a quadratic B-spline, whose speed is continuous and whose
 acceleration is that of the commands,
 
 .. math:: q(s) = \tfrac12 \left[(1 - s)^2 q_{k-2} + (1 + 2 s - 2 s^2)\, q_{k-1} + s^2 q_k\right], \qquad 0 < s \le 1 ,
 
-half a cycle behind them. Whoever computes commands in Python cannot answer every millisecond: it computes for longer
-than one now and then, and ``libfranka`` waits for a state without letting other threads run. So a process of its own
-answers. A command is played a few milliseconds after the state that it answers, and comes with those that are expected
-behind it, which are played where the next comes too late; where none is known any more the arm is braked.
+half a cycle behind them. A program that computes commands in Python cannot answer every millisecond: it sometimes
+computes for longer, and ``libfranka`` blocks other threads while it waits for a state. So a separate process answers. A
+command is executed a few milliseconds after the state that it answers. It comes with the expected following ones, which
+are executed if the next one is late; after the last of them the arm is braked.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ _MODES = {"UserStopped": "the user stop is pressed: release it", "Guiding": "the
 
 
 class FciError(IdealRobotError):
-    """The controller is not there, does not let itself be led, or has stopped the arm."""
+    """The controller is not reachable, refuses to be commanded, or has stopped the arm."""
 
 
 class FciState(NamedTuple):
-    """What the controller reports of a millisecond.
+    """State of the controller in one millisecond.
 
     Attributes:
         tick: its number.
@@ -94,7 +94,7 @@ class FciState(NamedTuple):
 
 
 class FciMotion:
-    """The motion of one arm by ``pylibfranka``, whose errors are said in the field's words.
+    """The motion of one arm by ``pylibfranka``, with its errors in plain words.
 
     Args:
         host: address of the controller.
@@ -102,7 +102,7 @@ class FciMotion:
         patience: how long the controller is waited for [s].
 
     Raises:
-        FciError: no controller, or an arm that cannot be led now.
+        FciError: no controller, or an arm that cannot be commanded now.
 
     Attributes:
         tick: of the last state.
@@ -128,7 +128,7 @@ class FciMotion:
                 time.sleep(_AGAIN)
 
     def look(self) -> FciState:
-        """The state of an arm that is not led yet; raises FciError where it cannot be."""
+        """The state of an arm before its motion; raises FciError where it cannot be read."""
         state = self._asked(self._franka.read_once)
         if state.robot_mode.name in _MODES:
             raise FciError(f"the arm cannot be led: {_MODES[state.robot_mode.name]}")
@@ -137,7 +137,7 @@ class FciMotion:
         return self._noted(state)
 
     def begin(self) -> FciState:
-        """Begins the motion, from where the controller holds the arm; returns its first state."""
+        """Begins the motion at the arm's present setpoint; returns the first state."""
         mode = self._library.ControllerMode
         self._control = self._asked(lambda: self._franka.start_joint_position_control(
             mode.CartesianImpedance if self._cartesian else mode.JointImpedance))
@@ -154,7 +154,7 @@ class FciMotion:
         self._asked(lambda: self._control.writeOnce(self._library.JointPositions(q.tolist())))
 
     def end(self, q: Array) -> None:
-        """Ends the motion at joint angles ``(7,)`` [rad], unless the controller has, and the connection."""
+        """Ends the motion at joint angles ``(7,)`` [rad], if the controller has not, and closes the connection."""
         # A controller that has ended the motion by itself answers no command any more.
         if self._control is not None and not self.stopped:
             command = self._library.JointPositions(q.tolist())
@@ -182,10 +182,10 @@ class FciMotion:
 
 
 class Knots:
-    """Commands by cycle, and what they make of every millisecond.
+    """Commands by cycle, interpolated to every millisecond.
 
     Args:
-        start: where the arm is held ``(7,)`` [rad].
+        start: present setpoint of the arm ``(7,)`` [rad].
         steps: milliseconds of a cycle.
         a_max: acceleration limits ``(7,)`` [rad/s²].
 
@@ -202,9 +202,9 @@ class Knots:
         self.used, self.late = -1, 0
 
     def give(self, cycle: int, rows: Array) -> None:
-        """The command of a cycle, and those expected of the cycles behind it ``(m, 7)`` [rad]."""
+        """Adds the command of a cycle and the expected ones of the following cycles ``(m, 7)`` [rad]."""
         self.late += cycle <= self.used
-        # Of cycles in between, of which no command came, those expected before stand.
+        # For cycles without a command the earlier expected ones are used.
         for k, row in enumerate(self._expected[1 : cycle - self._first], self._first + 1):
             if k > self.used:
                 self._coming[k] = row
@@ -219,14 +219,14 @@ class Knots:
 
     @property
     def rest(self) -> bool:
-        """Whether nothing moves any more."""
+        """Whether the interpolated motion is at rest."""
         known = self._coming or self._first + len(self._expected) > self.used + 1
         return not known and bool(np.array_equal(self._last[0], self._last[3]))
 
     def at(self, millisecond: int) -> Array:
-        """Joint angles ``(7,)`` [rad] of a millisecond, counted from 1 where the first cycle's command is played.
+        """Joint angles ``(7,)`` [rad] of a millisecond; number 1 is the first one of the first cycle's command.
 
-        The one before the last that was asked for can be asked for again.
+        The one before the last call is still available.
         """
         while self.used < (millisecond - 1) // self._steps:
             self._go_on()
@@ -251,7 +251,7 @@ class Knots:
 
 
 class Report(NamedTuple):
-    """What who computes commands is told of a cycle.
+    """Report on one cycle, for the program that computes commands.
 
     Attributes:
         cycle: its number.
@@ -267,12 +267,12 @@ class Report(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """How an arm is to be answered.
+    """Settings by which an arm is answered.
 
     Attributes:
         host, cartesian, patience: see ``FciMotion``.
         steps: milliseconds of a cycle.
-        queue: milliseconds after which a command is played.
+        queue: delay after which a command is executed [ms].
         a_max, v_max: limits of the joints ``(7,)`` [rad/s², rad/s].
     """
 
@@ -288,7 +288,7 @@ class Wanted(NamedTuple):
 class Answering:
     """Answers every millisecond of a motion.
 
-    Where milliseconds were missed the controller has extrapolated: the next ones lead from its setpoint back to the
+    After missed milliseconds, which the controller extrapolates, the next ones move from its setpoint back to the
     commands.
 
     Args:
@@ -296,18 +296,18 @@ class Answering:
         wanted: how it is to be answered.
 
     Attributes:
-        knots: the commands; what they are before the motion has begun is of no use.
+        knots: the commands; ``begin`` resets them.
     """
 
     def __init__(self, motion: FciMotion, wanted: Wanted) -> None:
         self._motion, self._given = motion, wanted
-        # Its plans take longer than a millisecond to make.
+        # Planning a return takes longer than a millisecond, so it is prepared.
         self._catch_up = CatchUp(wanted.a_max, wanted.v_max, PERIOD)
         self.knots = Knots(np.zeros(AXES), wanted.steps, wanted.a_max)
         self._began = self._cycle = self._unanswered = 0
 
     def begin(self, rows: Array) -> None:
-        """Begins the motion with the first command and those expected behind it ``(m, 7)`` [rad]."""
+        """Begins the motion with the first command and the expected following ones ``(m, 7)`` [rad]."""
         self._state = first = self._motion.begin()
         self.knots = Knots(first.q_d, self._given.steps, self._given.a_max)
         self.knots.give(0, rows)
@@ -318,7 +318,7 @@ class Answering:
         self._motion.write(self._led_back(self._commanded(self._since + 1)))
 
     def read(self) -> Report | None:
-        """Waits for the next state; what is to be told where a cycle has ended."""
+        """Waits for the next state; returns a report at the end of a cycle."""
         before, self._state = self._state.tick, self._motion.read()
         if (missed := max(self._state.tick - before - 1, 0)) > 0:
             self._unanswered += missed
@@ -349,7 +349,7 @@ class Answering:
 
 
 def said(errors: str) -> str:
-    """The controller's errors in words, with what helps; as they are where none is known.
+    """The controller's errors in words, with a remedy; unknown ones are returned unchanged.
 
     >>> said('["joint_reflex"]')
     'a collision was detected: external torque of a joint above its threshold (joint_reflex)'
@@ -363,14 +363,14 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-# The process.
+# The answering process.
 
 def answer(pipe: Connection) -> None:
-    """Reaches the controller, answers each look with a state, and from the first command on every millisecond.
+    """Runs the process that answers the controller: on request, then, after the first command, every millisecond.
 
-    What goes through the pipe: ``Wanted``; None for a look, answered by an ``FciState``; ``(cycle, rows)`` for
-    commands. From the first of these on reports come, and the text of an error where the motion has ended. Where the
-    pipe ends the arm is braked where no command is known any more, and the motion ended.
+    The pipe receives ``Wanted``; None as a request, answered by an ``FciState``; and ``(cycle, rows)`` as commands.
+    After the first command it returns reports, and the text of an error if the motion ends. If the pipe closes, the arm
+    is braked after the last known command, and the motion ends.
     """
     wanted: Wanted = pipe.recv()
     try:
@@ -413,7 +413,7 @@ def _undisturbed() -> None:
 
 
 class Process:
-    """``answer`` in a process of its own.
+    """Runs ``answer`` in a separate process.
 
     Args:
         wanted: how the arm is to be answered.
@@ -426,7 +426,7 @@ class Process:
     """
 
     def __init__(self, wanted: Wanted) -> None:
-        # Where it is missing that is said here, before there is a process.
+        # A missing library is reported here, before the process starts.
         import pylibfranka  # noqa: F401
 
         ours, theirs = Pipe()
@@ -438,19 +438,19 @@ class Process:
         self.rest: FciState = self._told(wanted.patience + _STARTS)
 
     def look(self) -> FciState:
-        """The state of an arm that is not led yet."""
+        """The state of an arm before its motion."""
         self._pipe.send(None)
         state: FciState = self._told(_SILENCE)
         return state
 
     def command(self, cycle: int, rows: Array) -> None:
-        """The command of a cycle, and those expected behind it ``(m, 7)`` [rad]."""
-        # Why the process has ended is what it has told last.
+        """Sends the command of a cycle, and the expected following ones ``(m, 7)`` [rad]."""
+        # The reason why the process has ended is its last message.
         with suppress(OSError):
             self._pipe.send((cycle, rows))
 
     def reports(self) -> list[Report]:
-        """What has come since the last call, at least one; raises FciError where the motion has ended."""
+        """The reports since the last call, at least one; raises FciError where the motion has ended."""
         reports: list[Report] = [self._told(_SILENCE)]
         while self._pipe.poll():
             reports.append(self._told(0.0))
@@ -479,7 +479,7 @@ class Process:
 
 
 class Here:
-    """``Process``, in this process: every millisecond is answered by who computes the commands, between two of them.
+    """A ``Process`` within this process: milliseconds are answered between two commands.
 
     Args:
         wanted: see ``Process``.
@@ -490,11 +490,11 @@ class Here:
         self._answering, self.rest = Answering(self._motion, wanted), self._motion.look()
 
     def look(self) -> FciState:
-        """See ``Process``."""
+        """The state of an arm before its motion; see ``Process``."""
         return self._motion.look()
 
     def command(self, cycle: int, rows: Array) -> None:
-        """See ``Process``."""
+        """Sends the command of a cycle, and the expected following ones ``(m, 7)`` [rad]; see ``Process``."""
         if self._motion.begun:
             self._answering.knots.give(cycle, rows)
         else:
@@ -502,18 +502,18 @@ class Here:
         self._answering.write()
 
     def reports(self) -> list[Report]:
-        """See ``Process``."""
+        """The reports since the last call, at least one; see ``Process``."""
         while (report := self._answering.read()) is None:
             self._answering.write()
         return [report]
 
     def end(self) -> None:
-        """See ``Process``."""
+        """Ends the motion at its last command, and the process; see ``Process``."""
         self._motion.end(self._answering.knots.in_force)
 
 
 def main(descriptor: int) -> None:
-    """Runs the process whose pipe is a file descriptor."""
-    # Ctrl-C is for who computes the commands: it brings the arm to rest.
+    """Runs the answering process on a pipe's file descriptor."""
+    # Ctrl-C is handled by the process that computes the commands, which brings the arm to rest.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answer(Connection(descriptor))

@@ -32,10 +32,10 @@ _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 @dataclass
 class FciCounts(LinkCounts):
-    """Of what happened: ``late`` are milliseconds without an answer.
+    """Statistics of the link: ``late`` is the number of milliseconds without an answer.
 
     Attributes:
-        replaced: cycles in which a command that was expected stood in for one that came too late, or never.
+        replaced: cycles in which an expected command was used, as the real one came late or never.
     """
 
     replaced: int = 0
@@ -48,8 +48,8 @@ class FciRobot(LinkedRobot):
         robot: seven joints, limits, and a cycle of whole milliseconds.
         host: address of the controller.
         cartesian: whether the controller's Cartesian impedance holds the commanded joints, not its joint impedance.
-        queue: time after which a command is played [s]; None: 4 ms, or so many whole cycles that they last as long: the
-            law of the arm then has a dead time of cycles.
+        queue: delay after which a command is executed [s]; None: 4 ms, rounded up to whole cycles, so that the arm's
+            command law has a dead time of whole cycles.
         waits: whether the controller, a simulated one, waits for each answer: then this process gives them, between two
             commands that it computes. Else a process of its own does.
         bridge: how long states may be missing [s].
@@ -83,12 +83,12 @@ class FciRobot(LinkedRobot):
         self._begun = False
 
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Reaches the controller; the motion itself begins with the first command.
+        """Connects to the controller; the motion itself begins with the first command.
 
-        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+        Returns the state at rest, ``t = 0``. ``commanded`` is then the controller's setpoint.
 
         Raises:
-            FciError: no controller within ``patience`` [s], or an arm that cannot be led now.
+            FciError: no controller within ``patience`` [s], or an arm that cannot be commanded now.
         """
         self._arm = (Here if self._waits else Process)(self._wanted_of._replace(patience=patience))
         self._cycle, self._late, self._begun = 0, 0, False
@@ -99,7 +99,7 @@ class FciRobot(LinkedRobot):
 
     @property
     def meta(self) -> dict[str, float]:
-        """Time after which a command is played [ms]."""
+        """Delay after which a command is executed [ms], for the recording's metadata."""
         return {"fci_queue_ms": float(self._queue)}
 
     def _stands_now(self) -> Array | None:
@@ -131,7 +131,7 @@ class FciRobot(LinkedRobot):
         return self._state(report.state)
 
     def close(self) -> None:
-        """Ends the motion where the arm is commanded, unless the controller has, and the connection."""
+        """Ends the motion at the last command, if the controller has not, and closes the connection."""
         if self._arm is not None:
             self._arm.end()
             self._arm = None

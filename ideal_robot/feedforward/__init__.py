@@ -1,4 +1,4 @@
-"""From desired positions over a horizon to the command: every way of correcting a path.
+"""Feedforward: from desired positions over a horizon to the command, by every method.
 
 The package itself can be called to make a feedforward by its key:
 

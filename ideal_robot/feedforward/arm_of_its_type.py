@@ -1,16 +1,16 @@
-r"""The model of one arm from that of another of its type and one motion of this one.
+r"""Adapts the model of another arm of the same type to this arm, from one motion of this arm.
 
 Arms of a type have the same gears and controllers, but castings of other weight, and motors that are mounted with their
-ripple at another angle. Both show in the torques of any motion:
+ripple at another angle. Both appear in the torques of any motion:
 
 .. math:: \tau - \tau_{model} = Y \Delta p + F z f(|\dot q|)^T x + \sum_k a_k \cos(k q) + b_k \sin(k q)
 
 with Y the regressor of the links, rotors and offsets [G] (6), friction's terms f, and the ripple's orders k those of
 the model. These are normal equations of ``learned_friction``: links are as heavy as the model's within some percent,
-rotors nearly so, and a ripple is as large as the model's, at any angle. What the motion does not tell stays as it was.
-What friction is wrong by is taken out, not kept: it changes while the arm works, and adaptation follows it. A joint
-that rests, or has just turned round, is held by friction of any size up to the dry one: its torque tells nothing.
-Links move as the arm does, behind its gears.
+rotors nearly so, and a ripple is as large as the model's, at any angle. Parameters that the motion does not determine
+keep their values. Errors of friction are estimated but not kept, as friction changes and adaptation follows it. Rows in
+which a joint rests, or has just reversed, are not used, as friction of any size up to the dry one may act. Links move
+as the arm does, behind its gears.
 
 Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). The very
 arm that the model was identified from has the model's base parameters, as exactly as their covariance says [J] (16),
@@ -51,7 +51,7 @@ OFFSET = 0.03
 
 
 def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
-    """The model of the arm that was recorded; ``model`` itself where no bodies that can be explain its torques.
+    """The model adapted to the recorded arm; ``model`` itself where no possible bodies explain its torques.
 
     Raises InputError for a recording of another number of joints, or one that is too short.
 
@@ -77,14 +77,14 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     residuals = [s.decimate(s.tau - bend - variant.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
                  for variant in (model, bare)]
     layout, root, own = model.base.layout, _root(model, dry, robot), _own_root(model)
-    # A wave is as large as the model's, at any angle.
+    # Prior of a ripple: the model's amplitude, at any angle.
     size = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
     counts = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None]
     bodies = counts @ root
     friction = s.decimate(_friction(s, direction, dry, robot))[slides] / std[:, None]
     waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
     other = estimated(np.hstack([bodies, friction, waves]), residuals[1])
-    # The very arm: what its model leaves open, an offset, friction and a heavier tool explain what is left.
+    # Hypothesis of the same arm: the model's uncertainty, an offset, friction and a heavier tool explain the residual.
     very = estimated(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, layout.offsets],
                                       bodies[:, -1], friction]), residuals[0])
     try:
@@ -96,7 +96,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
         return _with_bodies(replace(bare, effects=(*bare.effects, *waving)), model.base.grouping @ root, other,
                             _nearby(model, root @ other.mean[: root.shape[1]],
                                     other.mean[layout.size : layout.size + layout.bodies]))
-    except IdealRobotError:  # no bodies that can be: torques of something else
+    except IdealRobotError:  # impossible bodies: the torques have another cause
         return model
 
 

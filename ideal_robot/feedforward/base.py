@@ -1,4 +1,4 @@
-"""The seam of all corrections of the commanded path: desired positions over a horizon in, one command out."""
+"""The interface of all corrections of the command: desired positions over a horizon in, one command out."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ class Feedforward(ABC):
 
     @abstractmethod
     def init(self, q0: Array) -> Any:
-        """State of an arm at rest at ``q0 (n,)`` [rad]."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]."""
 
     @abstractmethod
     def step(self, state: Any, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Any]:
         """The command of one interpolation cycle.
 
         Args:
-            state: what the last ``step`` or ``init`` returned.
+            state: state from the last ``step`` or ``init``.
             q_d: desired arm positions ``q_d(k) … q_d(k + n_d - 1)``, shape ``(n_d, n)`` [rad]; row 0 is where the
                 *arm* shall be at the instant at which this command is handed over.
             tau_ext_d: expected joint torques of contact over the same horizon ``(n_d, n)`` [N m], positive where they
@@ -76,12 +76,12 @@ class Feedforward(ABC):
         """
 
     def observe(self, state: Any, measured: RobotState) -> Any:
-        """Takes what the controller reported at the end of a cycle, returns the next state; by default the same."""
+        """The next state, given the controller's report at the end of a cycle; by default unchanged."""
         return state
 
     @property
     def observes(self) -> bool:
-        """Whether what the controller reported changes the commands, so that one cannot be made before it did."""
+        """Whether the controller's reports change the commands, so that each command has to wait for one."""
         return type(self).observe is not Feedforward.observe
 
     def along(self, q_d: Array) -> Array:
@@ -94,11 +94,11 @@ class Feedforward(ABC):
 
 
 def tried(feedforward: Feedforward, q: Array, t_ipo: float) -> Feedforward:
-    """The feedforward after one step at rest, so that its compiled code is loaded before it counts.
+    """The feedforward after one step at rest, so that its compiled code is loaded beforehand.
 
     Args:
-        feedforward: what is to be played, perhaps of a package outside.
-        q, t_ipo: where the arm rests ``(n,)`` [rad], and the cycle in which it is to be played [s].
+        feedforward: the feedforward, perhaps of another package.
+        q, t_ipo: joint angles at rest ``(n,)`` [rad], and the cycle of the commands [s].
 
     Raises:
         InputError: it is none, was made for another cycle, or does not command each joint.
@@ -117,7 +117,7 @@ def tried(feedforward: Feedforward, q: Array, t_ipo: float) -> Feedforward:
 # No correction: the desired position is commanded as it is.
 
 class PassThrough(Feedforward):
-    """Commands ``q_c(k) = q_d(k)``; the industrial controller alone decides what becomes of it (n_d = 1)."""
+    """Commands ``q_c(k) = q_d(k)`` unchanged, without any correction (n_d = 1)."""
 
     n_d = 1
 
@@ -125,9 +125,9 @@ class PassThrough(Feedforward):
         self.t_ipo = t_ipo
 
     def init(self, q0: Array) -> None:
-        """See ``Feedforward.init``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``."""
         return None
 
     def step(self, state: None, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, None]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         return q_d[0], None

@@ -1,4 +1,4 @@
-"""The methods of this project: how each makes its feedforward, and what it needs."""
+"""The methods of this project: requirements and factory of each."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _trained(setting: Setting, weighs_torques: bool = True) -> Feedforward:
 
 
 def _inverse(setting: Setting, options: Options = COMPLETE) -> Inverse:
-    # As printed it looks ahead as far as the command takes to act, or not at all.
+    # As printed in the paper, the horizon is only as long as the command's delay, or zero.
     return Inverse(setting.loop(), setting.horizon(HORIZON) if options.path else None, options)
 
 
@@ -83,7 +83,7 @@ def _adapted(setting: Setting) -> Feedforward:
     if (inverse := by_law(setting)) is not None:
         return _corrected(setting, AdaptedCommand(inverse))
     if setting.practice is None:
-        # Nothing to play beforehand: it learns while it works.
+        # This method needs no runs beforehand: it learns during the run.
         return _corrected(setting, _adapting(setting, None if setting.q_d is None else FrictionCurve(setting.loop())))
     practice = setting.plays()
     motion = practice.motion(setting.path())
@@ -95,8 +95,8 @@ def _adapted(setting: Setting) -> Feedforward:
             setting = replace(setting, model=own)
             start = _adapting(setting, FrictionCurve(setting.loop()))
             before = practice.play(start, motion)
-    # The motors tell friction's shape only where the path is not planned anew while they are on their way. What they
-    # tell of it on another motion is not this path's: it starts with none.
+    # Following errors show friction's shape only if the path is not replanned meanwhile. What another motion has shown
+    # of it does not apply to this path, so it starts from the prior.
     curve = FrictionCurve(start.ideal.loop)
     known = before.state.factors, curve, curve.inertia_alone(before.state.curve)
 
@@ -105,7 +105,7 @@ def _adapted(setting: Setting) -> Feedforward:
         tried = AdaptedIdeal(start.ideal, start.adaptation, *known, joints)
         return np.asarray(practice.play(tried, setting.path()).state.curve.strayed)
 
-    # What another motion tells is kept in the joints that follow the path better with it.
+    # Results of another motion are kept in the joints that follow the path better with them.
     every = np.ones(setting.robot.n, dtype=bool)
     return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, *known, strayed(every) < strayed(~every)))
 

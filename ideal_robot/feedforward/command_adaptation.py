@@ -1,14 +1,14 @@
-r"""Adaptation of the command's law: lateness, gains and offset follow the arm while it works.
+r"""Adaptation of the command's law: delay, gains and offset follow the arm during the run.
 
-With ``r`` the command as the controller sees it, and :math:`e_v`, :math:`e_f` what the identified law makes of it by
-the measured motion and by torques, each joint that moves shows
+With ``r`` the command as the controller sees it, and :math:`e_v`, :math:`e_f` the identified law's predictions from the
+measured motion and from torques, each moving joint satisfies
 
 .. math:: r(t; \Delta) - q - e_v - e_f = \Delta\, \dot r + o + g_v e_v + g_f e_f + \varepsilon
 
 with Δ the change of the lateness, o an offset, and :math:`g_v`, :math:`g_f` relative changes of the gains. Both sides
-pass the same lags before. The parameters are estimated by the recursion of ``estimate.recursive``. Where what the law
-leaves of the last seconds is not below what the plain command leaves, joint by joint, the plain path is commanded:
-adaptation never ends worse than nothing.
+pass the same lags before. The parameters are estimated by the recursion of ``estimate.recursive``. In joints in which
+the law's residual of the last seconds is not below that of the uncorrected command, the path is commanded uncorrected,
+so that adaptation is never worse than no correction.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _STARTS = 0.5
 
 @dataclass(frozen=True)
 class Past:
-    """What is remembered of commands and measurements.
+    """Past commands and measurements of the adaptation.
 
     Attributes:
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
@@ -71,7 +71,7 @@ class Past:
             ``(2, 7, n)`` [rad, rad/s].
         filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
         cycle: measurements so far.
-        led: whether a command of this layer is in force since the last measurement; what others led says nothing.
+        led: whether this feedforward made the last command; cycles commanded by others are not used.
     """
 
     given: Array
@@ -85,10 +85,10 @@ class Past:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Whether the law commands a joint, or the plain path: by what each left of late.
+    """Per joint whether the law or the uncorrected path is commanded, from their recent residuals.
 
     Attributes:
-        squares: that law and plain command left ``(2, n)`` [rad²].
+        squares: mean squared residuals of law and uncorrected command ``(2, n)`` [rad²].
         count: how many measurements those are of ``(n,)``.
         law: whether each joint is commanded by the law ``(n,)``.
         aside: for how long it is put aside still, and for how long the next time ``(2, n)`` [s].
@@ -102,11 +102,11 @@ class Judgement:
 
 @dataclass(frozen=True)
 class AdaptedState:
-    """What one cycle hands to the next.
+    """State of the adaptation from cycle to cycle.
 
     Attributes:
         inner: of the inverse.
-        mean, covariance: of the parameters ``(n, 4)``, ``(n, 4, 4)``, in standard deviations beforehand.
+        mean, covariance: of the parameters ``(n, 4)``, ``(n, 4, 4)``, in units of their prior standard deviations.
         past: commands and measurements.
         judgement: of law and plain path.
         share: how far the law has been taken up ``(n,)``.
@@ -121,7 +121,7 @@ class AdaptedState:
 
 
 class AdaptedCommand(Feedforward):
-    """The command's law, which follows lateness, gains and offset of the controller.
+    """The inverse by the command's law, with delay, gains and offset adapted to the controller.
 
     Args:
         inverse: by the law as it was identified.
@@ -154,7 +154,7 @@ class AdaptedCommand(Feedforward):
         self.late = np.array([own.shape.late for own in law.joints]) + inverse.shift
 
     def init(self, q0: Array) -> AdaptedState:
-        """See ``Feedforward.init``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``."""
         n = self.n
         inner = self.inverse.init(q0)
         eye = np.tile(np.eye(self.sigma.shape[1]), (n, 1, 1))
@@ -167,37 +167,38 @@ class AdaptedCommand(Feedforward):
         return AdaptedState(inner, np.zeros(self.sigma.shape), eye, past, judgement, np.ones(n))
 
     def changed(self, state: AdaptedState) -> Changed:
-        """What has been learned, in the law's units."""
+        """The learned changes in the law's units."""
         x = state.mean * self.sigma
         late = np.minimum(x[:, 0], _LATER)
         return Changed(late, x[:, 1], tuple(1.0 + x[j, 2] * mask[0] + x[j, 3] * mask[1]
                                             for j, mask in enumerate(self.masks)))
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         by_law, inner = self.inverse.changed_step(state.inner, q_d, tau_ext_d, self.changed(state), rows=self.n_d)
         q_c = q_d[0] + eased(state.share) * (by_law - q_d[0])
         share = np.clip(state.share + np.where(state.judgement.law, 1.0, -1.0) * self.t_ipo / _TAKEN_UP, 0.0, 1.0)
         past = state.past
         given, wanted = np.vstack([past.given[1:], q_c]), np.vstack([past.wanted[1:], inner.motors])
         if not np.isfinite(past.measured).any():
-            # What others commanded before is not known; the arm stood.
+            # Earlier commands by others are unknown, and the arm was at rest.
             given, wanted = np.tile(q_c, (len(given), 1)), np.tile(inner.motors, (len(wanted), 1))
         past = dataclasses.replace(past, given=given, wanted=wanted, led=True)
         return q_c, dataclasses.replace(state, inner=inner, past=past, share=share)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
-        """See ``Feedforward.observe``: looks at the angles of some cycles ago, with the commands of then."""
+        """The next state, from the angles of some cycles ago and their commands; see ``Feedforward.observe``."""
         q = np.asarray(measured.q, dtype=float)
         if not np.isfinite(q).all():
             return state
         past = state.past
         before = past.measured
         if not past.led:
-            # Somebody else leads the arm (a calibration, an approach) by commands that this layer does not know.
+            # Another part commands the arm (a calibration, an approach), with commands that this feedforward does not
+            # know.
             unknown = dataclasses.replace(past, measured=np.full_like(before, np.nan), cycle=0)
             return dataclasses.replace(state, past=unknown)
-        # Commands were handed over a cycle before the state that is reported with them.
+        # Commands were sent a cycle before the state that is reported with them.
         past = dataclasses.replace(past, led=False, measured=np.concatenate([before[1:], q[None]]))
         if not np.isfinite(before).all():
             return dataclasses.replace(state, past=past)
@@ -271,7 +272,7 @@ class AdaptedCommand(Feedforward):
         for j in np.flatnonzero(moves):
             h = self.sigma[j] * np.array([rate[j], 1.0, e_v[j], e_f[j]])
             y = float(left[j])
-            # What is commanded by the law is judged by where the joint is, too.
+            # A joint commanded by the law is also judged by its following error.
             by_law = max(abs(y - h @ mean[j]), abs(missed[j]) if state.share[j] == 1.0 else 0.0)
             now = np.array([by_law, plain[j]])
             squares[:, j] += (now**2 - squares[:, j]) / count[j]

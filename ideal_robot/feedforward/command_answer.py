@@ -1,4 +1,4 @@
-"""How the commands of a feedforward answer a small change of the desired path: what they ask of the drives for it."""
+"""The response of a feedforward's commands to a small change of the desired path."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _SLIGHT = 1e-2
 
 
 class CommandAnswer(NamedTuple):
-    r"""Weights with which changes of the desired path appear in the commands.
+    r"""Weights of changes of the desired path in the commands.
 
     .. math:: \delta q_c(k) = \sum_l w_l \; \delta q_d(k - before + l)
 
-    Of a command that is the path they are 1 at once; behind a lag :math:`\tau` they are those of
-    :math:`\delta q_d + \tau \, \delta \dot q_d`, so that a command's acceleration is the path's and :math:`\tau` times
-    its jerk; a delay moves them ahead and asks for no more. Each joint's answer is that to its own change.
+    For a command equal to the path the weight is 1 at l = 0; behind a lag :math:`\tau` they are those of :math:`\delta
+    q_d + \tau \, \delta \dot q_d`, so that a command's acceleration is the path's and :math:`\tau` times its jerk; a
+    delay only shifts them. Each joint's response is that to its own change.
 
     Attributes:
         weights: ``(L, n)``.
@@ -43,7 +43,7 @@ class CommandAnswer(NamedTuple):
 
     @classmethod
     def of(cls, feedforward: Feedforward, robot: Robot, q: Array) -> CommandAnswer:
-        """The answer of each joint while all move, by the commands themselves.
+        """The response of each joint while all move, measured on the commands themselves.
 
         Args:
             feedforward: whatever makes commands; small changes of a motion are answered linearly.
@@ -53,17 +53,17 @@ class CommandAnswer(NamedTuple):
         reach = feedforward.n_d + round(4.0 * WIDTH)
         speed = _MOVES * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         pulse, answers = pulse_answers(feedforward.along, q, speed, robot.t_ipo, np.arange(2.0 * reach + 1) - reach)
-        # Both begin and end with nothing, so the pulse is taken out of its answer by frequencies.
+        # Pulse and response begin and end at zero, so the response is deconvolved in the frequency domain.
         own, count = np.fft.rfft(pulse, 4 * reach), 4 * reach
         freed = np.conj(own) / (np.abs(own) ** 2 + (_RESOLVED * np.abs(own).max()) ** 2)
         weights = np.fft.irfft(freed[:, None] * np.fft.rfft(answers, count, axis=0), count, axis=0)
-        # A command before the pulse is answered to what comes behind it.
+        # Weights are reversed in time: a command before the pulse responds to what follows.
         weights = np.roll(weights, reach, axis=0)[2 * reach :: -1]
         used = np.flatnonzero((np.abs(weights) > _SLIGHT * np.abs(weights).max(axis=0)).any(axis=1))
         first, last = min(int(used[0]), reach), max(int(used[-1]), reach)
         return cls(weights[first : last + 1], reach - first)
 
     def to(self, rows: Array) -> Array:
-        """What changes ``(N, n)`` make of the commands of the ``N - L + 1`` cycles whose weights they cover."""
+        """Changes of the commands in the ``N - L + 1`` cycles covered by changes ``(N, n)`` of the path."""
         return np.column_stack([np.convolve(row, weights, mode="valid")
                                 for row, weights in zip(rows.T, self.weights[::-1].T, strict=True)])

@@ -1,4 +1,4 @@
-"""The ideal robot behind any joint controller: the command's law evaluated ahead along the desired motion."""
+"""The ideal robot for any joint controller: the command's law, evaluated ahead along the desired motion."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _WIDTHS, _LONGEST = (0.0, 0.6, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 17.0, 25.0, 3
 
 @dataclass(frozen=True)
 class InverseState:
-    """What one cycle hands to the next.
+    """State of the inverse from cycle to cycle.
 
     Attributes:
         q_d: desired positions before ``(W, n)`` [rad].
         filters: states of each joint's filters of direct and integrated terms ``(n, 2, k)``.
         start: command minus position at rest at the start ``(n,)`` [rad].
         cycle: cycles since the start.
-        motors: where the motors are to be with what was commanded last, gears wound up ``(n,)`` [rad].
+        motors: planned motor angles of the last command, with gear deflection ``(n,)`` [rad].
     """
 
     q_d: Array
@@ -44,7 +44,7 @@ class InverseState:
 
 @dataclass(frozen=True)
 class Changed:
-    """Changes of a law since it was identified.
+    """Changes of a command law since its identification.
 
     Attributes:
         late: commands act so much later ``(n,)`` [s].
@@ -60,10 +60,10 @@ class Changed:
 class CommandInverse(Feedforward):
     """Commands that make an arm with this law follow the desired positions.
 
-    Gears that are known to be elastic are wound up first: the law is of motor angles, the desired ones are the arm's.
-    Where dry friction turns, the law asks for a leap of the command. It is spread over as many cycles as the joints'
-    acceleration needs for it; with a long cycle over none.
-    What commands and positions differ by at rest is taken up over the first ``SETTLE`` seconds.
+    Known gear deflection is added first: the law is for motor angles, the desired angles are the arm's. Where dry
+    friction reverses, the law requires a jump of the command. It is spread over the cycles that the joints'
+    acceleration needs; with a long cycle over none. The difference of command and position at rest is introduced over
+    the first ``SETTLE`` seconds.
 
     Args:
         model: with the law, ``model.command``.
@@ -92,7 +92,7 @@ class CommandInverse(Feedforward):
         self._response: Array | None = None
         self._spread: list[Array] = [np.ones(1)] * self.n
         if self.law.torque != "none":
-            # What the friction of each joint changes by where it reverses.
+            # Change of each joint's friction at a reversal.
             turns = -np.diff(self.model.friction.torque(np.array([[1.0], [-1.0]]) * self.law.still), axis=0)[0]
             self._spread = [_bell(self._width(i, turns, robot.a_max)) for i in range(self.n)]
         spread = max(len(kernel) for kernel in self._spread) // 2
@@ -124,7 +124,7 @@ class CommandInverse(Feedforward):
         return width
 
     def motion(self, q_d: Array, tau_ext_d: Array | None = None) -> Motion:
-        """Motion of the motors ``(N, n)`` along desired positions, with the torques that it asks for."""
+        """Motion of the motors ``(N, n)`` along desired positions, with its torques."""
         motion = Motion.of(q_d, self.t_ipo, self.law.still, self.bodies)
         external = np.zeros_like(q_d) if tau_ext_d is None else tau_ext_d
         if np.any(self.compliance):
@@ -133,23 +133,23 @@ class CommandInverse(Feedforward):
         return self.with_model_torque(motion, external)
 
     def with_model_torque(self, motion: Motion, external: Array | float = 0.0) -> Motion:
-        """A motion with the model's torques where the law has any, less those of contact ``(N, n)`` [N m]."""
+        """A motion with the model's torques, if the law uses torques, less those of contact ``(N, n)`` [N m]."""
         if self.law.torque == "none":
             return motion
         moves = np.abs(motion.qd) > REVERSING * self.law.still
         torque = self.model.inverse_dynamics(motion.q, np.where(moves, motion.qd, 0.0), motion.qdd)
-        # What the bodies ask for is as smooth as the motion; the rest of it is friction.
+        # The torque of the bodies is as smooth as the motion; the rest is friction.
         friction = torque - motion.body
         spread = np.stack([_spread_over(friction[:, i], kernel) for i, kernel in enumerate(self._spread)], axis=1)
         return motion.with_torque(motion.body + spread - external)
 
     def along(self, q_d: Array) -> Array:
-        """See ``Feedforward.along``; the whole path at once."""
+        """Commands ``(N, n)`` [rad] of a whole path that is known beforehand; see ``Feedforward.along``."""
         commands, t = self._required(q_d), self.t_ipo * np.arange(float(len(q_d)))
         return np.asarray(commands - (1.0 - _settled(t, self.t_ipo))[:, None] * (commands[0] - q_d[0]))
 
     def init(self, q0: Array) -> InverseState:
-        """See ``Feedforward.init``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``."""
         from scipy import signal
 
         rows = np.tile(q0, (2 * self.before, 1))
@@ -163,17 +163,17 @@ class CommandInverse(Feedforward):
         return InverseState(np.tile(q0, (self.before, 1)), tuple(filters), start, 0, q0.copy())
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         return self.changed_step(state, q_d, tau_ext_d, None)
 
     def changed_step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None, changed: Changed | None,
                      rows: int = 0) -> tuple[Array, InverseState]:
-        """``step`` by a law that has changed.
+        """``step`` with a changed law.
 
         Args:
             state, q_d, tau_ext_d: see ``Feedforward.step``.
-            changed: by what; None for nothing.
-            rows: of the horizon that are looked at, where they are more than ``n_d``.
+            changed: the changes; None for none.
+            rows: rows of the horizon that are used, if more than ``n_d``.
         """
         from scipy import signal
 
@@ -208,10 +208,10 @@ class CommandInverse(Feedforward):
         return q_c - rest * state.start, after
 
     def expected(self, q_d: Array) -> Array:
-        """Standard deviation of what the commands for a path leave ``(N, n)`` [rad].
+        """Expected standard deviation of the path error with the commands of this law ``(N, n)`` [rad].
 
-        What the law left of held-out motion; and where it is another kind's law, how its commands are beside that
-        one's, as the joints answer them.
+        It is the law's residual on held-out motion; for a law of another controller kind also the difference of the
+        commands, as the joints respond to them.
         """
         rows, motion = len(q_d), self.motion(held(q_d, after=self.n_d))
         variance = self.law.variance(motion)[:rows]
@@ -221,7 +221,7 @@ class CommandInverse(Feedforward):
         return np.asarray(np.sqrt(variance))
 
     def expected_by(self, q_c: Array, q_d: Array) -> Array:
-        """Standard deviation of what other commands for a path leave, if the law is right ``(N, n)`` [rad].
+        """Expected standard deviation of the path error with other commands, by this law ``(N, n)`` [rad].
 
         Args:
             q_c, q_d: commands and path ``(N, n)`` each [rad].
@@ -237,7 +237,7 @@ class CommandInverse(Feedforward):
         return np.convolve(command - command[0], self._response[:, j])[: len(command)] + command[0]
 
     def uncorrected(self, q_d: Array) -> Array:
-        """Error ``(N, n)`` [rad] that the path itself leaves when it is commanded: ``q_d - q``."""
+        """Error ``q_d - q`` ``(N, n)`` [rad] by this law if the path itself is commanded."""
         return uncorrected(self._required, q_d, self.t_ipo, self.law.still)
 
     def response(self, q: Array, length: int) -> Array:
@@ -285,7 +285,7 @@ def _extended(before: Array, q_d: Array, rows: int) -> Array:
 
 
 def at_cycle_of(robot: Robot, law: CommandLaw | None) -> Robot:
-    """The robot at the cycle in which its recordings were commanded, where its drive data name none."""
+    """The robot with the cycle of its recordings' commands, if its drive data have none."""
     named = robot.data.get("controller", {})
     if law is None or "t_ipo" in named or abs(law.t_cycle - robot.t_ipo) < 1e-9:
         return robot

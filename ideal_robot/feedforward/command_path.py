@@ -1,8 +1,8 @@
-"""Inverse of the command path: which commands make the position loop see a wanted signal.
+"""Inverse of the command path: commands for which the position loop receives a desired signal.
 
 Delay, linear interpolation, command low-pass and the position loop's gain and feedforward are linear, so the commands
-over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; what
-was commanded before enters as the free response. Systems whose low-pass is not minimum phase are no special case.
+over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; earlier
+commands enter as the free response. Systems whose low-pass is not minimum phase are no special case.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from ideal_robot.loop.loop import Cascade, Loop
 
 @dataclass(frozen=True)
 class CommandPathInverse:
-    """Gains of the first command.
+    """Gains that give the first command from the desired signal and past commands.
 
-    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ + k_a r̈`` at the position cycles of the ``m`` next
-    interpolation cycles in which the command can act, ``past (n, P)`` of the commands before, oldest first.
+    ``wanted (n, m s)`` are the gains of the signal ``k_v r + k_ff ṙ + k_a r̈`` at the position cycles of the ``m`` next
+    interpolation cycles in which the command can act, ``past (n, P)`` those of the commands before, oldest first.
     """
 
     wanted: Array
@@ -29,7 +29,7 @@ class CommandPathInverse:
 
     @property
     def n_past(self) -> int:
-        """How many past commands are needed."""
+        """Number of past commands that are needed."""
         return self.past.shape[1]
 
 
@@ -39,7 +39,7 @@ low-pass from amplifying what the interpolation cannot pass anyway."""
 
 
 def command_path_inverse(loop: Loop, cycles: int) -> CommandPathInverse:
-    """Solves for the first of ``cycles`` commands, which are solved for together, once and for all."""
+    """Computes the gains for the first of ``cycles`` commands by one least-squares problem for all of them."""
     s, n = loop.steps_ipo, loop.n
     taps, cascade = loop.path.command_filter, loop.cascade
     # Of two lags in a row 1e-5 is left after 15 times their time constant.
@@ -57,7 +57,7 @@ def command_path_inverse(loop: Loop, cycles: int) -> CommandPathInverse:
         answer = np.zeros(fine)
         answer[: len(taps)] = taps[:fine, i]
         response = linalg.toeplitz(answer, np.zeros(fine))
-        # Before the oldest knot the command counts as constant.
+        # Before the oldest knot the command is assumed constant.
         response[:, 0] += 1.0 - response.sum(axis=1)
         position = response @ interpolation
         signal = position_loop_signal(cascade, i, position, loop.path.t_position)[-s * cycles :] / cascade.k_v[i]
@@ -70,7 +70,7 @@ def command_path_inverse(loop: Loop, cycles: int) -> CommandPathInverse:
 
 
 def position_loop_signal(cascade: Cascade, i: int, r: Array, t_position: float) -> Array:
-    """What the position loop makes of its reference, ``k_v r + k_ff ṙ + k_a r̈``, at rest before ``(N, k)`` [rad/s].
+    """Output of the position loop for its reference, ``k_v r + k_ff ṙ + k_a r̈``, at rest before ``(N, k)`` [rad/s].
 
     Args:
         cascade, i: of all joints, and which of them, from 0.

@@ -1,4 +1,4 @@
-"""The arm whose geometry is not that of its drawings: joint paths that bring its tool where it shall be."""
+"""Corrects joint paths for an arm whose geometry differs from its drawings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ideal_robot.tolerances import CORRECTION_SPACING, CORRECTION_STEPS, DAMPING
 
 
 class CorrectedArm:
-    """Kinematics with the errors that effects name, a zero or a geometry, and the inverse that a path needs.
+    """Kinematics with the geometric errors of a model's effects, and their inverse for paths.
 
     Paths were planned with the kinematics of ``robot``, as drawn.
     """
@@ -48,9 +48,9 @@ class CorrectedArm:
         return self._data.oMf[self._robot.tool_id].copy()
 
     def joints(self, q_d: Array) -> Array:
-        """Joint angles ``(N, n)`` [rad] that bring the tool where the drawn arm would be at ``q_d (N, n)``.
+        """Joint angles ``(N, n)`` [rad] that bring this arm's tool to where the drawn arm's is at ``q_d (N, n)``.
 
-        Near a singular posture the tool misses by micrometres rather than a joint running away.
+        Near a singular posture the tool deviates by micrometres, so that no joint moves far.
         """
         if not self.differs:
             return q_d
@@ -66,7 +66,7 @@ class CorrectedArm:
     def as_drawn(self, q: Array) -> Array:
         """Angles ``(n,)`` [rad] at which the drawn arm's tool is where this arm's is at ``q (n,)``; undoes ``joints``.
 
-        A follower that knows the drawn arm alone sees its tool where it is.
+        A follower with the kinematics of the drawn arm then has the true tool pose.
         """
         if not self.differs:
             return q
@@ -76,14 +76,14 @@ class CorrectedArm:
         return np.asarray(drawn)
 
     def from_rest(self, q_d: Array, t_ipo: float) -> Array:
-        """``joints`` along a path ``(N, n)`` [rad] from the drawn arm's rest: the correction is taken up smoothly."""
+        """``joints`` along a path ``(N, n)`` [rad] from the drawn arm's rest: the correction begins smoothly."""
         if not self.differs:
             return q_d
         return np.asarray(q_d + taken_up(t_ipo * np.arange(float(len(q_d))))[:, None] * (self.joints(q_d) - q_d))
 
 
 def taken_up(t: Array) -> Array:
-    """Share of the correction at times ``(N,)`` [s] after the start: from none to all, smoothly."""
+    """Share of the correction at times ``(N,)`` [s] after the start: smoothly from 0 to 1."""
     return eased(np.minimum(t / SETTLE, 1.0))
 
 
@@ -102,7 +102,7 @@ def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array, change:
 
 @dataclass(frozen=True)
 class CorrectedState:
-    """State of the feedforward behind the correction, and cycles since the start."""
+    """State of the corrected feedforward, and the number of cycles since the start."""
 
     inner: Any
     cycle: int
@@ -116,14 +116,14 @@ class ForCorrectedArm(Feedforward):
         self.n_d, self.t_ipo, self.extends = feedforward.n_d, feedforward.t_ipo, feedforward.extends
 
     def init(self, q0: Array) -> CorrectedState:
-        """See ``Feedforward.init``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``."""
         return CorrectedState(self.feedforward.init(q0), 0)
 
     def step(self, state: CorrectedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, CorrectedState]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         share = taken_up(self.t_ipo * (state.cycle + np.arange(float(len(q_d)))))[:, None]
         path = np.asarray(q_d, dtype=float)
-        # The correction turns slowly: every few rows of the horizon are enough.
+        # The correction changes slowly, so every few rows of the horizon suffice.
         every = max(1, round(CORRECTION_SPACING / self.t_ipo))
         rows = np.unique(np.append(np.arange(0, len(path), every), len(path) - 1))
         off = self.arm.joints(path[rows]) - path[rows]
@@ -133,16 +133,16 @@ class ForCorrectedArm(Feedforward):
 
     @property
     def observes(self) -> bool:
-        """See ``Feedforward.observes``: where what is corrected does."""
+        """Whether the corrected feedforward observes; see ``Feedforward.observes``."""
         return self.feedforward.observes
 
     def observe(self, state: CorrectedState, measured: RobotState) -> CorrectedState:
-        """See ``Feedforward.observe``."""
+        """The next state, given the controller's report at the end of a cycle; see ``Feedforward.observe``."""
         return CorrectedState(self.feedforward.observe(state.inner, measured), state.cycle)
 
 
 def for_arm(feedforward: Feedforward, robot: Robot, effects: tuple[FittedEffect, ...]) -> Feedforward:
-    """The feedforward for the arm as effects say that it is; itself where none changes the geometry.
+    """The feedforward for an arm with the effects' geometric errors; unchanged if there are none.
 
     Args:
         feedforward, robot: made for the drawn arm, and that arm.

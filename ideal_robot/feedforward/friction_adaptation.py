@@ -1,7 +1,7 @@
-"""Adaptation: friction and the tool's mass follow the arm while it works ([L] Fig. 1, [G] Figs 3 and 12).
+"""Adaptation of friction and of the tool's mass during the run ([L] Fig. 1, [G] Figs 3 and 12).
 
-Friction changes with temperature and lubricant, and a tool may be heavier than told; arm and controller do not change.
-From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the recursion of
+Friction changes with temperature and lubricant, and a tool may be heavier than stated; arm and controller do not
+change. From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the recursion of
 ``estimate.recursive`` friction's terms of every joint, an apparent inertia per joint, and one mass at the tool:
 
     τ_a - τ_rigid - J q̈_m - τ_offset - τ_f(q̇_m) = z (F(0) f(s) + θ_1 F_load) + c k_p T q̈_m
@@ -87,7 +87,7 @@ class _Estimate(NamedTuple):
 
 
 class FrictionFactors(NamedTuple):
-    """Factors of friction that adaptation has estimated.
+    """Estimated deviations of friction and tool mass.
 
     Attributes:
         x: parameters: each joint's own, and those that all joints share ``(p,)``.
@@ -96,7 +96,7 @@ class FrictionFactors(NamedTuple):
         mass: that the tool has beyond the model's [kg].
         friction: of the loop with them, see ``friction.terms.with_terms``.
         load: torque that the gears transmitted in the middle of the last window ``(n,)`` [N m].
-        used: measurements that counted, per joint ``(n,)``.
+        used: number of used measurements per joint ``(n,)``.
         window: last measurements.
         waiting: those that are not yet in it: motor angles, motor torques, joint torques of contact.
         cycle: cycles since the start.
@@ -148,13 +148,13 @@ class _Known(NamedTuple):
 
 
 class FrictionAdaptation:
-    """Friction of every joint and the mass at the tool, from torques.
+    """Estimates friction of every joint and the mass at the tool from motor torques.
 
     Args:
         loop: the identified loop; its rigid body, rotors and friction are the reference.
-        tool: where in the last joint's frame the mass is ``(3,)`` [m]; no mass is learned if None: on the axes of a
-            wrist it hardly differs from what inertias may be wrong by.
-        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]; see
+        tool: place of the mass in the last joint's frame ``(3,)`` [m]; None learns no mass, as on the axes of a wrist
+            it is hardly distinguishable from errors of inertias.
+        noise_std: the model's torque residual in the identification ``(n,)`` [N m]; see
             ``learned_friction.noise_variance``.
     """
 
@@ -173,37 +173,37 @@ class FrictionAdaptation:
         self._still = np.zeros(loop.n)
 
     def init(self) -> FrictionFactors:
-        """Friction as identified, and no mass."""
+        """The state before any measurement: friction as identified, and no mass."""
         n = self.loop.n
         p = n * _OWN + _COMMON
         return FrictionFactors(np.zeros(p), np.eye(p), np.zeros((n, TERMS)), 0.0, self._known.friction,
                                np.zeros(n), np.zeros(n), Window.empty(n))
 
     def begun(self, state: FrictionFactors) -> FrictionFactors:
-        """What is known, without the last measurements: before another motion, or after a hole in this one."""
+        """The state without the last measurements, for the begin of a motion or after a gap."""
         return state._replace(window=state.window._replace(rows=0), waiting=(), cycle=0, t=np.nan)
 
     def more(self, friction: Friction, values: Array) -> Friction:
-        """Friction of the loop with further values of friction's terms ``(n, TERMS)``."""
+        """Friction of the loop with further values of friction's terms ``(n, TERMS)`` added."""
         return with_terms(friction, self._known.terms, values)
 
     def carried(self, state: FrictionFactors) -> Carried | None:
-        """What the tool has beyond the model's; None for nothing."""
+        """The tool's estimated mass beyond the model's; None for none."""
         return Carried(state.mass, self._known.place) if state.mass != 0.0 else None
 
     def update(self, state: FrictionFactors, measured: RobotState, tau_ext: Array | None = None) -> FrictionFactors:
-        """Takes what the controller reported at the end of one cycle.
+        """The state updated by the controller's report at the end of a cycle.
 
         Args:
             state, measured: before the cycle, and motor angles and torques.
             tau_ext: joint torque of contact that was expected ``(n,)`` [N m]; None for none.
         """
-        # Copies: what the controller's driver writes to later must not change what waits here.
+        # Copies, as the controller's driver may overwrite its arrays later.
         q, tau = np.array(measured.q, dtype=float), np.array(measured.tau, dtype=float)
         if q.shape != self._still.shape or tau.shape != self._still.shape:
             return self.begun(state)
         if not 0.5 < (measured.t - state.t) / self.loop.t_ipo < 1.5:
-            # What two motions make of one window is no motion of an arm.
+            # A window across two motions would not be a motion of the arm.
             state = self.begun(state)
         waiting = state.waiting
         if state.cycle % self._every == 0:
@@ -308,14 +308,14 @@ def _applied(friction: Friction, terms: Array, x: Array) -> tuple[Array, Frictio
 
 
 class AdaptedState(NamedTuple):
-    """State of the feedforward, and what it has learned.
+    """State of the feedforward, with its estimates.
 
     Attributes:
         ideal: of the ideal robot.
         factors: learned from torques.
         curve: learned from following errors; None where nothing is.
         friction: that follows from both.
-        tau_ext: contact torque that it was last told ``(n,)`` [N m].
+        tau_ext: last contact torque that it was given ``(n,)`` [N m].
     """
 
     ideal: InverseState
@@ -326,18 +326,18 @@ class AdaptedState(NamedTuple):
 
 
 class AdaptedIdeal(Feedforward):
-    """The ideal robot whose friction and tool mass follow the arm. Without ``observe`` it is the ideal robot.
+    """The ideal robot with adapted friction and tool mass. Without ``observe`` it is the ideal robot.
 
-    How far a mass that was learned bends the gears is left out: a camera calibrated with the tool on has seen that.
+    The gear deflection by a learned mass is not added, as a camera calibrated with the tool already contains it.
 
     Args:
-        ideal: what is adapted.
+        ideal: the ideal robot to be adapted.
         adaptation: how.
-        known: what to start with; friction as identified and no mass if None.
-        curve: learns from following errors what is left; nothing does if None. For paths known beforehand: one
-            that is planned anew all the time leaves following errors that are not friction's.
-        known_curve: what that starts with; nothing if None.
-        adapted: joints ``(n,)`` in which what is learned of friction and inertia is used; all if None.
+        known: initial estimates; friction as identified and no mass if None.
+        curve: estimates the rest from following errors; None for none. Only for paths known beforehand, as replanning
+            causes following errors without friction.
+        known_curve: its initial state; None for none.
+        adapted: mask of joints ``(n,)`` in which learned friction and inertia are used; all if None.
     """
 
     def __init__(self, ideal: Inverse, adaptation: FrictionAdaptation | None = None,
@@ -367,7 +367,7 @@ class AdaptedIdeal(Feedforward):
         return friction
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
-        """Takes what the controller reported at the end of a cycle."""
+        """The state after the controller's report at the end of a cycle."""
         factors = self.adaptation.update(state.factors, measured, state.tau_ext)
         curve, friction = state.curve, state.friction
         changed = factors.friction is not state.factors.friction
@@ -379,11 +379,11 @@ class AdaptedIdeal(Feedforward):
         return AdaptedState(state.ideal, factors, curve, friction, state.tau_ext)
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         factors, curve, inner = state.factors, state.curve, state.ideal
         carried = self.adaptation.carried(factors)
         if inner.cycle == 0:
-            # The motors hold already at rest what was learned before the first step.
+            # At rest the motors already hold the learned torque before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
         inertia = None if curve is None else curve.inertia
         if inertia is not None and self.adapted is not None:

@@ -1,10 +1,10 @@
-r"""Friction at the speeds of a job, from the torques of a motion like it in free space.
+r"""Estimates friction at the speeds of a task, from the torques of a similar motion in free space.
 
-Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints
-at hundredths of a radian per second, where friction falls with speed before it rises, and turns them round. What the
-loop's friction lacks there is, joint by joint, friction's terms and an offset of ``learned_friction``, solved for in
-batch. The direction of sliding follows Dahl's model (``ideal_robot.friction.presliding``), whose angle is the one that
-explains most. Where the motion tells nothing, the prior leaves the loop as it was.
+Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints at
+hundredths of a radian per second, where friction falls with speed before it rises, and reverses them. The missing
+friction is, joint by joint, friction's terms and an offset of ``learned_friction``, solved for in batch. The direction
+of sliding follows Dahl's model (``ideal_robot.friction.presliding``), whose distance is the one with the best fit.
+Where the motion has no information, the prior keeps the loop unchanged.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ BELIEVED = 0.4
 
 @dataclass(frozen=True)
 class FrictionAtWork:
-    """Friction beyond the identified loop's: ``values (n, TERMS)`` of friction's terms.
+    """Deviations from the identified loop's friction: ``values (n, TERMS)`` of friction's terms.
 
-    And ``bend (n,)``, a factor on the angle over which friction turns after a reversal [1].
+    ``bend (n,)`` is a factor on the presliding distance [1].
     """
 
     values: Array
     bend: Array
 
     def in_loop(self, loop: Loop) -> Loop:
-        """The loop that it was found for, with it."""
+        """The identified loop with this friction."""
         friction = with_terms(loop.friction, table_terms(loop.friction, loop.path.v_max), self.values)
         return loop.changed(friction=friction._replace(distance=loop.friction.distance * self.bend))
 
 
 def friction_at_work(recording: Recording, loop: Loop) -> FrictionAtWork:
-    """Friction of every joint along a motion in free space that goes both ways at the speeds of the job.
+    """Friction of every joint from a motion in free space in both directions at the speeds of the task.
 
     The recording has ``t`` [s], ``q_i`` [rad], ``tau_i`` [N m], ``loop`` is the identified one. Raises InputError for
     another arm's recording, one without torques, or one too short.

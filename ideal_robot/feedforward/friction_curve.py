@@ -1,14 +1,14 @@
-r"""Friction and inertia learned from how far the motors are from where they were planned to be.
+r"""Estimates friction and inertia from following errors of the motors.
 
 A law of few coefficients has not the shape of a gear's friction where it moves slowly: there friction falls with speed
-before it rises. What the law lacks shows in the following error. Where the motors are not at the planned :math:`q_m`,
-the joint controller [G] (16), (17) gives a torque beyond the planned one,
+before it rises. The missing friction causes a following error. If the motors are not at the planned :math:`q_m`, the
+joint controller [G] (16), (17) gives a torque beyond the planned one,
 
 .. math:: \Delta\tau = k_p \Delta u + k_i \int \Delta u\, dt, \qquad
           \Delta u = -\left(\frac{d}{dt} + k_v\right) (q - q_m),
 
-which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. It is
-explained in the basis of ``friction.terms`` by what is unknown less what the plan had used of it, primed:
+which the plan did not contain. No measured torque is used, so its noise does not matter. It is fitted in the basis of
+``friction.terms`` by the unknown parameters less those used in the plan, primed:
 
 .. math::
 
@@ -53,7 +53,7 @@ STRAY = 0.01
 
 
 class Planned(NamedTuple):
-    """A cycle's plan: motor angles and velocities at its end, direction of sliding, ``(n,)`` each; what was known."""
+    """A cycle's plan: motor angles and velocities at its end, direction of sliding, ``(n,)`` each; parameters used."""
 
     q: Array
     v: Array
@@ -62,16 +62,16 @@ class Planned(NamedTuple):
 
 
 class CurveState(NamedTuple):
-    """What is known of friction and inertia.
+    """Estimates of friction and inertia, and the plans not yet evaluated.
 
     Attributes:
-        x: of each joint: friction's terms, offset, inertia for every joint's acceleration ``(n, p)`` with
+        x: parameters of each joint: friction's terms, offset, inertia for every joint's acceleration ``(n, p)`` with
             ``p = TERMS + 1 + n``.
         covariance: of them ``(n, p, p)``.
-        inertia: that the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
-        plans: cycles that are not counted yet, oldest first, behind the last one that is.
+        inertia: coupling of the joints' accelerations into the drive torques beyond the model's ``(n, n)`` [kg m²].
+        plans: plans of cycles not yet evaluated, oldest first, after the last evaluated one.
         measured: motor angles of the first of these cycles, each ``(n,)`` [rad].
-        error: following error of the last cycle that is counted ``(n,)`` [rad]; None before the first.
+        error: following error of the last evaluated cycle ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
         strayed: sum over the cycles of the squared following errors, each at most ``STRAY``, ``(n,)`` [rad²].
     """
@@ -124,7 +124,7 @@ class _Cycles(NamedTuple):
 
 
 class FrictionCurve:
-    """Friction and inertia of every joint from its following error, against the loop's controller and dry friction."""
+    """Estimates friction and inertia of every joint from its following error, with the loop's controller."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
@@ -139,7 +139,7 @@ class FrictionCurve:
         self._size = TERMS + 1 + n
 
     def init(self, known: CurveState | None = None) -> CurveState:
-        """State before a motion: nothing known, or what another motion has shown, without its following error."""
+        """State before a motion: the prior, or another motion's estimates without its following error."""
         places = np.delete(np.arange(self._size), TERMS)
         if known is None:
             return self._begun(np.zeros((self.loop.n, self._size)), np.zeros((self.loop.n, self._size, self._size)),
@@ -147,7 +147,7 @@ class FrictionCurve:
         return self._begun(known.x, known.covariance, places)
 
     def inertia_alone(self, state: CurveState) -> CurveState:
-        """The part of a state that holds for any other motion: inertia; friction's shape is unknown again."""
+        """The part of a state that is valid for other motions: inertia; friction is reset to its prior."""
         return self._begun(state.x, state.covariance, np.arange(TERMS + 1, self._size))
 
     def _begun(self, x: Array, covariance: Array, places: Array) -> CurveState:
@@ -159,11 +159,11 @@ class FrictionCurve:
         return np.asarray(x[:, TERMS + 1 :] * self._known.unit)
 
     def values(self, state: CurveState) -> Array:
-        """Values of friction's terms ``(n, TERMS)``."""
+        """Estimated values of friction's terms ``(n, TERMS)``."""
         return np.asarray(ALONE * state.x[:, :TERMS])
 
     def planned(self, state: CurveState, ideal: InverseState) -> CurveState:
-        """Takes note of what the ideal robot planned in a cycle with what this state knows."""
+        """Stores the ideal robot's plan of a cycle, with the parameters used for it."""
         plans, measured, error = state.plans, state.measured, state.error
         if len(plans) > self.loop.path.delay + 1 + len(measured):  # the cycle before was not measured
             measured, error = (), None
@@ -172,11 +172,11 @@ class FrictionCurve:
         return state._replace(plans=plans, measured=measured, error=error)
 
     def update(self, state: CurveState, q: Array) -> CurveState:
-        """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
+        """The state updated by the motor angles ``(n,)`` [rad] reported at the end of a cycle."""
         if len(state.plans) <= self.loop.path.delay + 1 + len(state.measured):
             return state
         measured = (*state.measured, np.array(q, dtype=float))
-        # The first following error tells no torque yet.
+        # The first following error does not give a torque yet.
         if len(measured) < self._together + (state.error is None):
             return state._replace(measured=measured)
         return self._counted(state, measured)
@@ -186,10 +186,10 @@ class FrictionCurve:
         now, plans = state.plans[: len(measured) + 1], state.plans[len(measured) :]
         errors = [q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
                   for q, plan in zip(measured, now[1:], strict=True)]
-        # Errors are clipped, so that a plan whose arm does not follow at all is not preferred.
+        # Errors are clipped, so that a plan without any following is not preferred.
         strayed = state.strayed + np.square(np.clip(errors, -STRAY, STRAY)).sum(axis=0)
         if not np.abs(errors).max() < STRAY:
-            # The first that strays ends what was known of this motion.
+            # The first large error resets the estimates of this motion.
             known = state if state.error is None else self.init(state)
             return known._replace(plans=plans, measured=(), error=None, strayed=strayed)
         if state.error is None:

@@ -1,10 +1,11 @@
 r"""The inverse of the identified closed loop: from desired positions over a horizon to the command.
 
-An arm with elastic gears under a cascaded controller is flat: the wanted arm angles and their derivatives decide all
-the rest, from the gear torque back to the command. Step by step, along [G] (8), (18)-(20) and [L] 2.2:
+An arm with elastic gears under a cascaded controller is flat: the desired arm angles and their derivatives determine
+all the rest, from the gear torque back to the command. Step by step, along [G] (8), (18)-(20) and [L] 2.2:
 
     τ_g = M(q_d) q̈_d + c + g - τ_ext            gear torque, [G] (5)
-    q_m = q_d + τ_g / k                          motor angle behind the elastic gear; with play, and turned unevenly
+    q_m = q_d + τ_g / k                          motor angle behind the elastic gear; with backlash and transmission
+        error
     τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), with ripple and further effects where known,
                                                  less what the drive compensates of friction by itself
 
@@ -64,11 +65,11 @@ from ideal_robot.tolerances import COMMANDS_TOGETHER, ROWS_AFTER, ROWS_BEFORE
 
 
 class Options(NamedTuple):
-    """What the inverse takes into account.
+    """Effects that the inverse takes into account.
 
     Attributes:
-        elastic: whether gear deflection is compensated. Then the command at rest differs from the desired position by
-            the deflection under gravity; without, by nothing.
+        elastic: whether gear deflection is compensated. If so, the command at rest differs from the desired position by
+            the deflection under gravity.
         path: whether the loops are inverted at their own cycles and the command path with them; else as printed.
         ahead: whether the controller as printed is right for the instant at which the command acts, or for the one at
             which it is handed over. The command path, inverted, knows.
@@ -144,9 +145,9 @@ def _complete_grid(loop: Loop) -> _Grid:
     T, fine, delay = loop.t_ipo, loop.path.t_position, loop.path.delay
     rows = delay + COMMANDS_TOGETHER + ROWS_AFTER + 1
     t_rows = T * np.arange(-ROWS_BEFORE, rows, dtype=float)
-    # A cycle wider than needed: the derivatives of torques follow from them.
+    # One cycle wider than needed, for the derivatives of torques.
     t_coarse = T * (delay - 2 + 0.5 * np.arange(2.0 * (COMMANDS_TOGETHER + 4) + 1))
-    # A position-loop output acts on average half its cycle later: torques are wanted there.
+    # A position-loop output acts on average half its cycle later, so torques are computed there.
     t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * COMMANDS_TOGETHER)) + 0.5)
     return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1,
                  _Operators.smoothing(t_rows, t_coarse, T, _CUTOFF), _Operators.smoothing(t_rows, t_fine, T, _CUTOFF),
@@ -187,16 +188,16 @@ class _Planned(NamedTuple):
 
 @dataclass(frozen=True)
 class InverseState:
-    """What one cycle hands to the next.
+    """State of the inverse from cycle to cycle.
 
     Attributes:
         q_d: desired positions of the cycles before ``(ROWS_BEFORE, n)``.
         q_c: commands of the cycles before ``(P, n)``, newest last.
-        planned: velocity-loop error, motor torque, what the integrator sums up and reference so far.
+        planned: velocity-loop error, motor torque, integrator state and reference so far.
         q_m, v_m, presliding: motor angles, velocities ``(n,)`` [rad, rad/s] and state of the contacts planned for the
             end of the cycle in which the last command acts.
         deflection: of the gears under gravity at the start, not yet compensated ``(n,)`` [rad].
-        sag: speed that stands for how far joints without an integrator sag there, not yet taken up ``(n,)`` [rad/s].
+        sag: velocity-loop error at rest of joints without an integrator, not yet compensated ``(n,)`` [rad/s].
         cycle: cycles since the start.
     """
 
@@ -220,7 +221,7 @@ class _Motion(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """A mass [kg] at a place of the last joint's frame ``(3,)`` [m]."""
+    """A payload: mass [kg] at a place of the last joint's frame ``(3,)`` [m]."""
 
     mass: float
     place: Array
@@ -233,7 +234,7 @@ class Inverse(Feedforward):
         loop: the identified closed loop; see :func:`ideal_robot.loop.from_model.loop_model`.
         n_d: length of the horizon it is given; with fewer than ``n_d_needed`` rows the path is continued with constant
             acceleration. None for ``n_d_needed``.
-        options: what is taken into account.
+        options: effects taken into account.
     """
 
     def __init__(self, loop: Loop, n_d: int | None = 30, options: Options = COMPLETE) -> None:
@@ -268,7 +269,7 @@ class Inverse(Feedforward):
         return cls(loop_model(model, robot, delay=delay), n_d, options)
 
     def init(self, q0: Array, carried: Carried | None = None) -> InverseState:
-        """See ``Feedforward.init``; ``carried`` as in ``step_with``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``. ``carried`` as in ``step_with``."""
         q0 = np.array(q0, dtype=float)
         loop, still = self.loop, np.zeros((1, self.loop.n))
         load, more = self._load(q0[None], still, still, carried)
@@ -288,18 +289,18 @@ class Inverse(Feedforward):
             presliding=Presliding.none(loop.n), deflection=deflection, cycle=0)
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         return self.step_with(self.loop.friction, state, q_d, tau_ext_d)
 
     def step_with(self, friction: Friction, state: InverseState, q_d: Array, tau_ext_d: Array | None = None,
                   carried: Carried | None = None, inertia: Array | None = None) -> tuple[Array, InverseState]:
-        """``step`` with other friction than the identified one, for adaptation.
+        """``step`` with other friction, payload or inertia than identified, for adaptation.
 
         Args:
             friction: of every joint.
             state, q_d, tau_ext_d: as of ``step``.
-            carried: what the motors carry beyond the model's bodies. How far it bends the gears is left out.
-            inertia: what the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
+            carried: payload beyond the model's bodies; its gear deflection is not added.
+            inertia: coupling of the joints' accelerations into the drive torques beyond the model's ``(n, n)`` [kg m²].
         """
         loop, drives, grid = self.loop, self.loop.drives, self._grid
         q_d = self._checked(q_d)
@@ -308,7 +309,7 @@ class Inverse(Feedforward):
         load, more = self._load(q, qd, qdd, carried)
         if tau_ext_d is not None:
             external = np.asarray(tau_ext_d, dtype=float)
-            # Linear in between and constant beyond the horizon.
+            # The external torque is interpolated linearly, and constant beyond the horizon.
             load -= interpolated(grid.coarse, np.arange(len(external)) * self.t_ipo, external)
         gears = grid.torque.of(load)
         motors = grid.at_fine.of(rows) + self._compliance * gears
@@ -321,7 +322,7 @@ class Inverse(Feedforward):
         if len(drives.uneven):
             output = v_m
             q_m, v_m, a_m = behind_uneven_gears(drives.uneven, q_m, v_m, a_m)
-            # A gear that turns faster than its motor hands more of its torque on to it.
+            # A gear with a higher momentary ratio transmits more torque back to its motor.
             reflected = gear * np.divide(output, v_m, out=np.ones_like(v_m), where=np.abs(v_m) > 1e-6)
         self._take_up(state, q_m, v_m)
         smooth = reflected + drives.rotor_inertia * a_m + drives.offset
@@ -334,7 +335,7 @@ class Inverse(Feedforward):
                                  presliding.direction)
         q_c, planned = self._command(state, _Motion(q_m, v_m, a_m), smooth + rubbing, further)
         k = grid.last
-        # Half a step on from the middle of the last one; as printed there is one instant, which is its own end.
+        # Half a step after the middle of the last one; as printed in the paper there is only one instant.
         reached = q_m[k] + 0.5 * grid.step * v_m[k] if self.options.path else q_m[k]
         return q_c, InverseState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
                                  planned, reached, v_m[k],
@@ -464,7 +465,7 @@ def _without_compensation(compensation: Compensation, motors: _Motion, torques: 
     wanted = torques.copy()
     for j in range(len(wanted)):
         for i in range(wanted.shape[1]):
-            # The command moves as the motor does, but for what is corrected.
+            # Except for the correction, the command moves like the motor.
             wanted[j, i] -= compensated(compensation, i, motors.v[j, i])
         if compensation.coupled:
             # M diag(1/J_0) x = τ; M is positive definite.
@@ -497,7 +498,7 @@ def _position_loop_signal(cascade: Cascade, motors: _Motion, wanted: Array, lag:
         share = k_v[i] / (k_v[i] + ahead)
         for j in range(N):
             q, v = motors.q[j, i], motors.v[j, i]
-            # Half a position cycle back to the instant at which the position is compared.
+            # Half a position cycle back, to the instant of the position comparison.
             measured, compared = v - lag[i] * motors.a[j, i], k_v[i] * (q - 0.5 * t_position * v)
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (s + s_before)/2 = Δτ, s = w u + (1 - w) k_v (r - q),
             # where the signal is linear in r and what its rates were: k_v (r - q) = share u + rest.

@@ -1,13 +1,13 @@
-"""Joint errors from errors of the end-effector, measured in all or only some degrees of freedom.
+"""Joint errors from errors of the end effector, measured in all or only some degrees of freedom.
 
-[G] 4.2.1 transforms deviations of the end-effector by the Jacobian. [L] 3.3 tells of a device that measures 2 of 6
-and estimates all joints from them. Both are one least-squares problem per sample with a prior: joints err by about
+[G] 4.2.1 transforms deviations of the end-effector by the Jacobian. [L] 3.3 describes a device that measures 2 of 6 and
+estimates all joints from them. Both are one least-squares problem per sample with a prior: joints err by about
 ``prior`` each, the device by ``noise``,
 
     δq = W Jᵀ (J W Jᵀ + R)⁻¹ δx ,   W = diag(prior²) + c cᵀ , R = noise² I
 
-where c is an error that all joints make together: a common lag, with which each errs in proportion to its speed. That
-is the Jacobian's inverse where everything is measured well, and the likeliest joint errors where it is not.
+where c is an error common to all joints: a lag, with an error of each joint in proportion to its speed. With complete
+accurate measurements this is the Jacobian's inverse, otherwise the likeliest joint errors.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-r"""What adaptation learns: four choices of columns, one prior, one noise.
+r"""The linear model of adaptation: four choices of columns with one prior and one noise.
 
-What the model of an arm lacks shows in the torque of its joint i as
+The torque of joint i beyond its model is
 
 .. math::
 
@@ -62,15 +62,15 @@ def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -
 
     Args:
         dry, spacing: dry friction ``(n,)`` [N m], and the time from one torque to the next [s].
-        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]. A torque is at least
-            as uncertain: where friction is small, it is not what torques are wrong by.
+        noise_std: the model's torque residual in the identification ``(n,)`` [N m]. It is a lower bound, as the noise
+            does not vanish with small friction.
     """
     std = np.maximum(NOISE * dry, 0.0 if noise_std is None else noise_std)
     return np.asarray(std**2 * max(1.0, INTERVAL / spacing))
 
 
 def process_correlation(spacing: float) -> float:
-    """Correlation of a parameter with itself one torque later, by the process noise that is derived above.
+    """Correlation of a parameter with itself after ``spacing``, by the process noise derived in this module.
 
     Args:
         spacing: time from one torque to the next [s].
@@ -78,25 +78,26 @@ def process_correlation(spacing: float) -> float:
     rate = np.sqrt(2.0) / WARMING
     told = (ALONE[0] / NOISE) ** 2 / INTERVAL
     walk = (4.0 * rate**2) ** (2.0 / 3.0) * told ** (-1.0 / 3.0)
-    # A walk that keeps the prior: for small steps 1 - a² = 2 t / T_a.
+    # A random walk that preserves the prior: for small steps 1 - a² = 2 t / T_a.
     return correlation(spacing, 2.0 / walk)
 
 
 def unknown_mass(dry: Array) -> float:
-    """How heavy a tool may be beyond the model's: standard deviation [kg], by dry friction ``(n,)`` [N m]."""
+    """Prior standard deviation of the tool's mass beyond the model's [kg], from dry friction ``(n,)`` [N m]."""
     return float(WEIGHT * dry.max() / G)
 
 
 def estimated(columns: Array, residual: Array) -> Posterior:
-    """Parameters in batch, prior ``N(0, 1)``.
+    """Posterior of the parameters from all rows, with the prior ``N(0, 1)``.
 
     Args:
-        columns, residual: what parameters count ``(M, P)`` and what the model leaves ``(M,)``, in units of the noise.
+        columns, residual: columns of the parameters ``(M, P)`` and the model's residual ``(M,)``, in units of the
+            noise.
     """
     rows = np.column_stack([columns, residual])
     return posterior(rows.T @ rows, np.eye(columns.shape[1]))
 
 
 def evidence(estimate: Posterior) -> float:
-    """Logarithm of the probability of what was measured, less what is the same for all columns; of ``estimated``."""
+    """Log marginal likelihood of the rows of ``estimated``, up to a constant."""
     return -0.5 * (estimate.squares + float(estimate.mean @ estimate.mean) + estimate.logarithm)

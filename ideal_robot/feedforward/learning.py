@@ -1,11 +1,11 @@
-"""Learning: the commands of one path become better each time the path is played, [G] (10), (11).
+"""Learning: the commands of one path improve with each repetition, [G] (10), (11).
 
     q_c^(p+1) = q_c^p + Δq_c^(p+1) ,   G Δq_c^(p+1) = q_d - q^p
 
-``G`` is the linear closed loop written out. It is inverted by regularised least squares, in information form.
+``G`` is the matrix of the linear closed loop. It is inverted by regularised least squares, in information form.
 
-[G] finds that convergence cannot be guaranteed. Here it need not be: the best commands so far are kept, a step that
-makes the path worse is halved and taken from the best, and learning stops when halving does not help.
+[G] finds that convergence cannot be guaranteed. Therefore the best commands so far are kept, a step that increases the
+error is halved and repeated from the best, and learning stops when halving does not help.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ error, but not of the arm's, whose last errors at reversals are others: what it 
 
 
 class LearningLaw:
-    """Turns the errors of one play into the correction for the next, [G] (11).
+    """Computes the correction for the next run from the errors of the last, [G] (11).
 
     Args:
         loop: linear closed loops of the joints.
@@ -49,7 +49,7 @@ class LearningLaw:
         self._factors = [cho_factor(G.T @ G + penalty) for G in self._G]
 
     def correction(self, error: Array) -> Array:
-        """``Δq_c (N, n)`` [rad] for the errors ``q_d - q (N, n)`` of the last play."""
+        """Correction ``Δq_c (N, n)`` [rad] for the errors ``q_d - q (N, n)`` of the last run."""
         steps = [cho_solve(factor, G.T @ error[:, i])
                  for i, (G, factor) in enumerate(zip(self._G, self._factors, strict=True))]
         return np.column_stack(steps)
@@ -57,12 +57,12 @@ class LearningLaw:
 
 @dataclass(frozen=True, repr=False)
 class Learned(Summarised):
-    """Outcome of learning one path.
+    """The result of learning one path.
 
     Attributes:
         q_c: best commands ``(N, n)`` [rad].
-        criterion: error criterion of every play, the first before any learning.
-        kept: best commands after 0, 1, … learning steps, so ``kept[p]`` is what ``learned-p`` plays.
+        criterion: error criterion of every run, the first before any learning.
+        kept: best commands after 0, 1, … learning steps, so ``kept[p]`` are the commands of ``learned-p``.
         stopped: why learning ended before its last step, or None.
     """
 
@@ -72,7 +72,7 @@ class Learned(Summarised):
     stopped: str | None
 
     def summary(self) -> list[tuple[str, str]]:
-        """How far the criterion came down."""
+        """Reduction of the criterion as rows of label and value."""
         return [("plays", f"{len(self.criterion)} runs, {self.stopped or 'learned to the last step'}"),
                 ("criterion", f"{self.criterion[0]:.3g} → {self.best:.3g}")]
 
@@ -84,10 +84,10 @@ class Learned(Summarised):
 
 def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, iterations: int = 4,
           limits: CommandLimits | None = None) -> Learned:
-    """Plays and corrects a path; raises InputError where path and law differ in length.
+    """Learns the commands of a path by repeated runs; raises InputError where path and law differ in length.
 
     Args:
-        play: plays commands ``(N, n)`` and returns the errors ``q_d - q (N, n)`` [rad] at the same instants.
+        play: runs commands ``(N, n)`` and returns the errors ``q_d - q (N, n)`` [rad] at the same instants.
         q_c: commands to start from ``(N, n)`` [rad].
         law, iterations: makes corrections out of errors; number of learning steps.
         limits: of commands; None for none.
@@ -125,7 +125,7 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
 
 
 def learn_on_model(loop: Loop, q_d: Array, q_c: Array | None = None) -> Learned:
-    """Learns a path on the identified closed loop, before the arm moves at all.
+    """Learns a path on the identified closed loop, before the arm moves.
 
     Args:
         loop: the identified closed loop.
@@ -150,9 +150,9 @@ def _slew(commands: Array, step: Array) -> Array:
 
 
 class Playback(Feedforward):
-    """Plays commands ``(N, n)`` [rad] that were found beforehand for a cycle [s]; holds the last one behind their end.
+    """Replays learned commands ``(N, n)`` [rad] for a cycle [s]; repeats the last one after their end.
 
-    The desired positions are not looked at: learned commands belong to one path.
+    The desired positions are ignored, as learned commands belong to one path.
     """
 
     n_d = 1
@@ -163,9 +163,9 @@ class Playback(Feedforward):
         self._q_c.setflags(write=False)
 
     def init(self, q0: Array) -> int:
-        """See ``Feedforward.init``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``."""
         return 0
 
     def step(self, state: int, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, int]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         return self._q_c[min(state, len(self._q_c) - 1)], state + 1

@@ -1,4 +1,4 @@
-"""Feedforward by the inverse of the linear closed loop: a filter over the horizon, exact for no path, close for all.
+"""Feedforward by the inverse of the linear closed loop: a filter over the horizon, approximate for every path.
 
 The command is a weighted sum of desired positions before and ahead of now,
 
@@ -38,7 +38,7 @@ class LinearInverse(Windowed):
         self.weights = np.column_stack([_preview_weights(g, n_d, _BANDWIDTH * loop.t_ipo) for g in loop.g.T])
 
     def weighed(self, rows: Array) -> Array:
-        """See ``Windowed.weighed``."""
+        """The command ``(n,)`` [rad] of a window ``(past + n_d, n)`` [rad]; see ``Windowed.weighed``."""
         now = rows[self.past]
         return np.asarray(now + np.sum(self.weights * (rows - now), axis=0))
 
@@ -60,7 +60,7 @@ def _preview_weights(g: Array, n_d: int, corner: float) -> Array:
     shape = np.sinc(2 * corner * t) * np.exp(-0.5 * (t * corner * 2.5) ** 2)
     shape /= shape.sum()
     smooth = np.array([np.convolve(column, shape) for column in series.T]).T
-    # Weights act on differences to q_d(k), so each moves weight from lag 0 of the direct path.
+    # Weights act on differences to q_d(k), so each one takes its weight from lag 0.
     smooth_direct, smooth_wanted = np.convolve(direct, shape), np.convolve(wanted, shape)
     moves = smooth - smooth_direct[:, None]
     measured = [Measurement(moves, smooth_wanted - smooth_direct,

@@ -1,4 +1,4 @@
-"""What a method key stands for: a description, what it needs, and the factory that makes its feedforward."""
+"""Interface of methods: a description, their requirements, and the factory that makes the feedforward."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-# Plays on the arm before a path counts: what learning, training and adaptation need beside the model.
+# Runs on the arm before the path, which learning, training and adaptation need.
 
 ITERATIONS = 4
 """Learning steps on the arm, as in [G] 4.3."""
@@ -34,7 +34,7 @@ DURATION, AMPLITUDE, FREQUENCIES = 8.0, 0.1, (0.4, 1.2)
 
 @dataclass(frozen=True)
 class Rehearsed:
-    """What came of one play on the arm.
+    """The result of one run on the arm before the task.
 
     Attributes:
         state: the feedforward's last state.
@@ -52,10 +52,10 @@ Play = Callable[[Feedforward, Array], Rehearsed]
 
 
 class Practice:
-    """Learns on the arm and keeps what was learned, so that several methods share the plays.
+    """Learns on the arm and caches the results, so that several methods share the runs.
 
     Args:
-        play: plays a path once.
+        play: runs a path once.
         robot: cycle times and limits.
     """
 
@@ -76,7 +76,7 @@ class Practice:
         return self._learned[1]
 
     def motion(self, q_d: Array) -> Array:
-        """The motion ``(M, n)`` [rad] about a path ``q_d (N, n)`` [rad] that training and adaptation learn from."""
+        """A motion ``(M, n)`` [rad] about a path ``q_d (N, n)`` [rad] for training and adaptation."""
         return training_motion(q_d, self.robot.t_ipo)
 
     def sinusoids(self, q_d: Array) -> Array:
@@ -94,7 +94,7 @@ class Practice:
         return np.asarray(middle + size * swell[:, None] * np.sin(2.0 * np.pi * t[:, None] * frequency))
 
     def training(self, q_d: Array, loop: Loop, progress: Progress = silent) -> tuple[Array, Array]:
-        """A motion ``(M, n)`` about a path that is not the path, and the commands learned for it ``(M, n)`` [rad].
+        """A motion ``(M, n)`` about a path that differs from it, and the commands learned for it ``(M, n)`` [rad].
 
         Args:
             q_d, loop, progress: as of ``learned``.
@@ -118,7 +118,7 @@ class Practice:
 
 
 class Needs(IntEnum):
-    """What has to be there before a method can be made; each includes those before it."""
+    """Requirements of a method; each includes those before it."""
 
     NOTHING = 0
     """Only the arm's cycle time and limits."""
@@ -132,7 +132,7 @@ class Needs(IntEnum):
 
 @dataclass(frozen=True)
 class Setting:
-    """Everything a factory may use.
+    """The inputs of a method's factory.
 
     Attributes:
         robot: cycle times and limits.
@@ -142,7 +142,7 @@ class Setting:
             recordings that the model is from.
         q_d: the path at the cycles ``(N, n)`` [rad], where it is known beforehand.
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
-        practice: plays on the arm, where there is one to play on.
+        practice: runs on the arm, where there is an arm.
         progress: called with the share of the making that is done.
         friction: as a motion like the job's has shown it, in place of the model's; the model's if None.
     """
@@ -158,7 +158,7 @@ class Setting:
     friction: FrictionAtWork | None = None
 
     def horizon(self, preferred: float) -> int:
-        """Rows of the horizon: as many as will be given, else the method's preferred time [s] in cycles."""
+        """Rows of the horizon: the given number, else the method's preferred time [s] in cycles."""
         return round(preferred / self.robot.t_ipo) if self.n_d is None else self.n_d
 
     def identified(self) -> Model:
@@ -179,7 +179,7 @@ class Setting:
         return self.q_d
 
     def plays(self) -> Practice:
-        """Plays on the arm; raises InputError where there is no arm to play on."""
+        """Access to runs on the arm; raises InputError where there is no arm."""
         if self.practice is None:
             raise InputError("this method learns in runs on the arm; give practice=Practice(play)", field="practice")
         return self.practice
@@ -197,7 +197,7 @@ class Method:
     Attributes:
         make: factory.
         description: one line for help texts and tables.
-        needs: what has to be there, which says where it applies.
+        needs: its requirements, which decide where it can be used.
         settings: the same method set otherwise, for comparisons: by a paper's equations as printed, or stopped earlier.
     """
 

@@ -1,8 +1,8 @@
-"""Every way of correcting a path by its key: those of this project, and those that other packages add.
+"""The registry of methods: every way of correcting a path by its key, with those of other packages.
 
 The keys are the same everywhere: in ``ir.feedforward``, ``--method``, comparisons and JSON. Behind a key, ``-`` and a
 setting choose the method as a paper prints it, or stopped earlier (``precorrected-printed``, ``learned-2``): see
-``Method.settings``. Scenes of paths know one more, ``-delay``: the standard path planner's delay is in force.
+``Method.settings``. Scenes of paths have one more, ``-delay``: the standard path planner's delay is active.
 
 A package outside adds a method by ``register``, or by an entry point whose value is a ``Method`` or a factory:
 
@@ -37,7 +37,7 @@ _REGISTRY: Registry[Method | Factory] = Registry(
 
 
 def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
-    """Keys of all methods that need no more than ``needs``, those of this project first.
+    """Keys of all methods with no more requirements than ``needs``, those of this project first.
 
     >>> "learned" in methods(Needs.PATH), "learned" in methods(Needs.PLAYS)
     (False, True)
@@ -48,7 +48,7 @@ def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
 
 
 def settings(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
-    """Keys of all settings of methods that need no more than ``needs``.
+    """Keys of all settings of methods with no more requirements than ``needs``.
 
     >>> settings(Needs.MODEL)
     ('precorrected-printed',)
@@ -58,10 +58,10 @@ def settings(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
 
 
 def method(key: str) -> Method:
-    """What a key, with its setting or without, stands for.
+    """The method of a key, with or without a setting.
 
     Raises:
-        InputError: there is no such method or setting; it lists those there are, or says what the key is called today.
+        InputError: there is no such method or setting; the message lists them, or has the new name of an old key.
     """
     base, dash, setting = key.partition(SETTING)
     if key not in _REGISTRY:
@@ -103,13 +103,13 @@ def register(key: str, factory: Factory | Method, *, description: str = "", need
         key: its name; lower case, digits and underscores.
         factory: makes the feedforward of a ``Setting``; or a whole ``Method``.
         description: one line for help texts and tables; the first line of the factory's docstring if empty.
-        needs: what has to be there, which says where it applies.
+        needs: its requirements, which decide where it can be used.
     """
     _REGISTRY.register(key, factory if isinstance(factory, Method) else _described(factory, description, needs))
 
 
 def unregister(key: str) -> None:
-    """Takes out what ``register`` added."""
+    """Removes a method that ``register`` added."""
     _REGISTRY.unregister(key)
 
 
@@ -126,7 +126,7 @@ def feedforward(key: str, model: Model | None, robot: Robot, *, n_d: int | None 
         delay: cycles between hand-over of a command and the start of its interpolation ([G] 5.2.3).
         q_d: the path at the cycles ``(N, n)`` [rad], for methods that are made for one path.
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
-        practice: plays on the arm, for methods that learn there.
+        practice: runs on the arm, for methods that learn there.
         progress: called with the share of the making that is done.
 
     Raises:

@@ -1,9 +1,9 @@
-"""Motion and torque in the middle of a few cycles, all smoothed alike, the arm's motion behind elastic gears.
+"""Motion and torque in the middle of a few cycles, smoothed by the same filter; behind gears the arm's motion.
 
-A torque belongs to the acceleration that comes out of the same filter. A polynomial fitted to positions smooths its
-second derivative far more than its value: at 4 Hz and 12 ms a tenth of the acceleration is missing that the torque
-still shows. Here every signal is the same weighted mean of neighbours, the derivatives of central differences. What the
-second difference averages over two cycles, the torque averages over with the weights 1, 10, 1 (exact for cubics).
+Torque and acceleration must pass the same filter. A polynomial fitted to positions smooths its second derivative far
+more than its value: at 4 Hz and 12 ms a tenth of the acceleration is missing that the torque still shows. Here every
+signal is the same weighted mean of neighbours, the derivatives of central differences. What the second difference
+averages over two cycles, the torque averages over with the weights 1, 10, 1 (exact for cubics).
 
 The torque is the one that acts, less ripple, which acts as well and is read with the same gain g:
 
@@ -77,13 +77,13 @@ class Smoothed(NamedTuple):
 
 @jit()
 def noted(window: Window, measured: Array, drives: Drives, friction: Friction, load: Array, spacing: float) -> Window:
-    """The window with further measurements; after one that is not finite it starts anew.
+    """The window with further measurements; a value that is not finite restarts it.
 
     Args:
         window: before; it is not written to.
         measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
         drives, friction: of the identified loop.
-        load: torque that the gears transmitted when it was last known ``(n,)`` [N m].
+        load: last known torque of the gears ``(n,)`` [N m].
         spacing: time between measurements [s].
     """
     angles, torques, forces, rows = window.q.copy(), window.tau.copy(), window.force.copy(), window.rows

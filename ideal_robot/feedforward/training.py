@@ -1,13 +1,13 @@
-"""Training: a feedforward fitted to what learning found on some paths, for use on others, [G] (12), (13).
+"""Training: fits a feedforward to learned commands of some paths, for use on others, [G] (12), (13).
 
     q_c(k) = base(k) + Σ_l r(l) (q_d(k + l) - q_d(k))
                      + Σ_l s(l) (sign(q̇_d(k + l)) - sign(q̇_d(k)))
                      + Σ_l w(l) τ_d(k + l)
 
 With the plain desired position as base the first two sums are [G] (13), the first alone (12). These are decoupled, so
-couplings between links are lost on them ([G] 4.3 sees it on the edge); the third sum lets each joint weigh the
-rigid-body torque it will carry, which brings couplings and the gears' deflection within reach, and stays linear. With
-another feedforward as base (the ideal robot, say) training learns only what that one leaves.
+couplings between links are lost on them ([G] 4.3 sees it on the edge); the third sum adds each joint's rigid-body
+torque, by which couplings and the gears' deflection can be learned linearly. With another feedforward as base, such as
+the ideal robot, training learns only its residual.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ REVERSAL = (0.288, 0.06)
 
 @dataclass(frozen=True)
 class Lags:
-    """Which neighbours in time the sums run over.
+    """Ranges of past and future samples in the sums.
 
-    Few positions and torques: many fit the training motion no better and other paths worse. Many past signs: what a
-    reversal does to the controller's integrator takes some 0.3 s to fade.
+    Few positions and torques, as more fit the training motion no better and other paths worse. Many past signs, as the
+    effect of a reversal on the controller's integrator lasts some 0.3 s.
 
     Attributes:
         past, ahead: desired positions of so many cycles before and after now, ``m_1 = -past`` and ``m = ahead``.
@@ -54,12 +54,12 @@ class Lags:
 
     @classmethod
     def at(cls, t_ipo: float) -> Lags:
-        """Those of [G] (13) at a cycle of ``t_ipo`` [s]."""
+        """The ranges of [G] (13) at a cycle of ``t_ipo`` [s]."""
         return cls(sign_past=round(REVERSAL[0] / t_ipo), sign_ahead=round(REVERSAL[1] / t_ipo))
 
     @property
     def before(self) -> int:
-        """Desired positions of the past that are needed: velocities are backward differences."""
+        """Number of past desired positions that are needed: velocities are backward differences."""
         return max(self.past + 1, self.sign_past + 1, self.torque_past + 2)
 
     @property
@@ -69,7 +69,7 @@ class Lags:
 
 
 class Windowed(Feedforward):
-    """A law that weighs the desired positions of some cycles before and behind now; commands keep the limits.
+    """A feedforward that weights the desired positions of cycles before and after now, within command limits.
 
     Attributes:
         past: cycles before now.
@@ -80,11 +80,11 @@ class Windowed(Feedforward):
     limits: CommandLimits | None
 
     def init(self, q0: Array) -> Array:
-        """See ``Feedforward.init``."""
+        """State for an arm at rest at ``q0 (n,)`` [rad]; see ``Feedforward.init``."""
         return np.tile(np.asarray(q0, dtype=float), (self.past, 1))
 
     def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
-        """See ``Feedforward.step``."""
+        """The command of one interpolation cycle; see ``Feedforward.step``."""
         rows = np.concatenate([state, q_d[: self.n_d]])
         if len(q_d) < self.n_d:
             rows = held(rows, after=self.n_d - len(q_d))
@@ -95,17 +95,16 @@ class Windowed(Feedforward):
 
     @abstractmethod
     def weighed(self, rows: Array) -> Array:
-        """The command ``(n,)`` [rad] of a window ``(past + n_d, n)`` [rad] in which now is row ``past``."""
+        """The command ``(n,)`` [rad] of a window ``(past + n_d, n)`` [rad] whose row ``past`` is now."""
 
 
 class Trained(Windowed):
     """Decoupled trained feedforward controllers.
 
     Args:
-        weights: of the positions r ``(past + ahead, n)``, below them those of the signs s
-            ``(sign_past + sign_ahead, n)`` [rad] and of the torques w ``(torque_past + torque_ahead + 1, n)``
-            [rad/(N m)], or no rows.
-        lags: what the rows belong to, in ascending order of ``l``, without 0 for r and s.
+        weights: weights of the positions r ``(past + ahead, n)``, below them those of the signs s ``(sign_past +
+            sign_ahead, n)`` [rad] and of the torques w ``(torque_past + torque_ahead + 1, n)`` [rad/(N m)], or no rows.
+        lags: time shifts of the rows, in ascending order of ``l``, without 0 for r and s.
         t_ipo: cycle [s].
         chain: rigid body whose torques are weighed; None for [G] (12), (13) proper.
         limits: of commands; None for none.
@@ -119,7 +118,7 @@ class Trained(Windowed):
         self.past, self.n_d = lags.before, lags.n_d
 
     def weighed(self, rows: Array) -> Array:
-        """See ``Windowed.weighed``."""
+        """The command ``(n,)`` [rad] of a window ``(past + n_d, n)`` [rad]; see ``Windowed.weighed``."""
         positions, signs, torques = _regressors(rows[None], self.lags, self.t_ipo, self.chain)
         q_c = rows[self.past] + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
         return np.asarray(q_c + np.sum(self.w * torques[0], axis=0))
@@ -156,7 +155,7 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | 
     whole, learned = np.concatenate(columns), np.concatenate([q_c - q_d for q_d, q_c in paths])
     weights = np.empty((size, n))
     for i in range(n):
-        # Prior: position weights of order 1, friction's and torque's share of the command of order a milliradian.
+        # Prior: position weights of order 1, contributions of friction and torque of a milliradian.
         prior = np.concatenate([np.ones(positions_count), np.full(signs_count, 1e-3),
                                 np.full(torque_count, 1e-3 / torque_scale[i])])
         weights[:, i] = least_squares(Measurement(whole[:, :, i], learned[:, i], _NOISE),

@@ -1,4 +1,4 @@
-"""The motion that training and adaptation learn from: about a path, but not the path."""
+"""The motion for training and adaptation: about a path, but different from it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ REST_BEFORE, REST_AFTER = 0.9, 0.6
 
 
 def training_motion(path: Array, t_ipo: float) -> Array:
-    """Smooth joint motion ``(M, n)`` [rad] about a path ``(N, n)`` [rad], as fast as it is: what [G] trains on.
+    """Smooth joint motion ``(M, n)`` [rad] about a path ``(N, n)`` [rad], as fast as it: [G]'s training motion.
 
     Sinusoids of different frequencies and phases per joint about the path's middle, with amplitudes of the path's own
     range (at least 3°), faded in and out; rest before and behind.

@@ -1,6 +1,6 @@
-"""Friction laws: the seam, those of [G] 3.1.1 and two more, and a law for each joint.
+"""Friction laws: their interface, those of [G] 3.1.1 and two more, and a law for each joint.
 
-A law is one object for everybody: identification fits it, the diagnosis takes its terms as effects
+The same law object is used everywhere: identification fits it, the diagnosis takes its terms as effects
 (``ideal_robot/effects/friction.py``), the loop that the feedforward inverts tabulates it. To add one, write its class
 and a line in the table ``LAWS``; a package outside calls ``LAWS.register("my_law", MyLaw)`` or has an entry point of
 the group ``ideal_robot.friction``.
@@ -32,10 +32,9 @@ class FrictionModel(ABC):
     A law is linear in its ``coefficients`` and may have ``shape`` parameters in which it is not. Parameters do not
     claim to be physical; they force the sum of all losses of a multistage gear into a formula ([G] 3.1.1).
 
-    Two refinements go with every law. *Presliding*: what goes with its ``sign(qd)`` is dry friction with memory, which
-    turns round only after the joint has moved some distance and stays when it rests
-    (``ideal_robot.friction.presliding``). *Load*: dry friction in proportion to the torque the gear transmits,
-    ``a_load |load| sign(qd)``; tooth forces rub.
+    Two refinements go with every law. *Presliding*: terms with ``sign(qd)`` are dry friction with memory, which
+    reverses only after the joint has moved some distance and stays at rest (``ideal_robot.friction.presliding``).
+    *Load*: dry friction in proportion to the torque the gear transmits, ``a_load |load| sign(qd)``; tooth forces rub.
 
     Args:
         coefficients: ``(m, n)``, one row per name in ``names_of``.
@@ -45,7 +44,8 @@ class FrictionModel(ABC):
 
     Attributes:
         key: name of the law in files, tables and on the command line.
-        coefficient_names, coefficient_units: ``{F}`` and ``{v}`` in a unit stand for those of torque and velocity.
+        coefficient_names, coefficient_units: names and units; ``{F}`` and ``{v}`` stand for the units of torque and
+            velocity.
         shape_names, shape_units, shape_bounds: of the law proper, without the refinements.
         each_brakes: whether each coefficient brakes by itself and so may not be negative; else only their sum has to.
         holds_offset: whether dry friction has a size of its own in each direction, so that half their difference is a
@@ -84,7 +84,7 @@ class FrictionModel(ABC):
     @classmethod
     @abstractmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """One array like ``qd (…, n)`` per coefficient of the law proper; ``direction`` stands for ``sign(qd)``.
+        """One array like ``qd (…, n)`` per coefficient of the law without refinements; ``direction`` is ``sign(qd)``.
 
         Args:
             qd: velocities ``(…, n)`` [rad/s].
@@ -94,12 +94,12 @@ class FrictionModel(ABC):
 
     @staticmethod
     def by_load(load: Array, direction: Array) -> Array:
-        """Dry friction per unit of the coefficient ``a_load``, of the shape of ``load`` and ``direction``."""
+        """Dry friction per unit of the coefficient ``a_load``, shaped like ``load`` and ``direction``."""
         return np.abs(load) * direction
 
     def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
                   direction: Array | None = None) -> Array:
-        """See ``FrictionModel.torque``. Regressor ``(…, n, m)`` of the ``m`` coefficients of each joint."""
+        """Regressor ``(…, n, m)`` of the ``m`` coefficients of each joint; see ``FrictionModel.torque``."""
         qd = np.asarray(qd, dtype=float)
         if not self.presliding or q is None:
             return np.stack(self._columns(qd, load, direction), axis=-1)
@@ -108,13 +108,13 @@ class FrictionModel(ABC):
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
                direction: Array | None = None) -> Array:
-        """Friction torque ``(…, n)`` [N m]; without memory zero at rest, where no law can know what friction balances.
+        """Friction torque ``(…, n)`` [N m]; without presliding state zero at rest.
 
         Args:
             qd: joint velocity ``(…, n)`` [rad/s].
-            load: torque the gear transmits ``(…, n)`` [N m]; zero if not given. Only loaded laws look at it.
-            q: joint position ``(N, n)`` [rad], consecutive in time: what the memory of presliding follows. Without it
-                the direction is that of gross sliding, ``sign(qd)``.
+            load: torque the gear transmits ``(…, n)`` [N m]; zero if not given. Only laws with load dependence use it.
+            q: joint position ``(N, n)`` [rad], consecutive in time: the presliding state follows it. Without it the
+                direction is that of gross sliding, ``sign(qd)``.
             direction: of motion ``(…, n)``, -1 to 1, of who knows how sharply it changes; laws with presliding know it.
         """
         qd = np.asarray(qd, dtype=float)
@@ -123,10 +123,10 @@ class FrictionModel(ABC):
         return self._along(*self.sizes(qd, load), qd, q)
 
     def sizes(self, qd: Array, load: Array | None = None) -> tuple[Array, Array]:
-        """Sizes of dry friction, which goes with the direction of sliding, and of the rest ``(…, n)`` each [N m].
+        """Sizes of dry friction, which acts in the direction of sliding, and of the rest ``(…, n)`` each [N m].
 
         Args:
-            qd: joint velocity ``(…, n)`` [rad/s]; at rest it is forward.
+            qd: joint velocity ``(…, n)`` [rad/s]; at rest the forward value is used.
             load: torque the gear transmits ``(…, n)`` [N m]; zero if not given.
         """
         dry, fluid = self._size_columns(np.asarray(qd, dtype=float), load)
@@ -170,7 +170,7 @@ class FrictionModel(ABC):
 
     @property
     def nonnegative(self) -> np.ndarray:
-        """Mask ``(m,)`` of the coefficients that brake by themselves and so may not be negative."""
+        """Mask ``(m,)`` of the coefficients that brake by themselves and must not be negative."""
         return np.array([self.each_brakes] * len(self.coefficient_names) + [True] * self.loaded)
 
     @property
@@ -212,7 +212,7 @@ class ViscousCoulomb(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """See ``FrictionModel.columns``."""
+        """One array ``(…, n)`` per coefficient of the law; see ``FrictionModel.columns``."""
         return [qd, direction]
 
 
@@ -226,7 +226,7 @@ class CubeRoot(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """See ``FrictionModel.columns``."""
+        """One array ``(…, n)`` per coefficient of the law; see ``FrictionModel.columns``."""
         return [qd, direction, np.cbrt(qd)]
 
 
@@ -250,7 +250,7 @@ class Arctan(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """See ``FrictionModel.columns``."""
+        """One array ``(…, n)`` per coefficient of the law; see ``FrictionModel.columns``."""
         return [qd, direction, np.arctan(shape[0] * qd)]
 
 
@@ -258,7 +258,7 @@ class Stribeck(FrictionModel):
     """[G] (4): ``a1 qd + a2 sign(qd) + a3 exp(-a4 |qd|) sign(qd)``: falls with speed at very low speed.
 
     [G] prints ``exp(-a4 qd)``, written for positive velocity; here it is odd like the other terms. [G] leaves it out of
-    the choice among laws, as it depends too much on operating conditions.
+    the choice among laws, as it depends too strongly on operating conditions.
     """
 
     key = "stribeck"
@@ -270,7 +270,7 @@ class Stribeck(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """See ``FrictionModel.columns``."""
+        """One array ``(…, n)`` per coefficient of the law; see ``FrictionModel.columns``."""
         return [qd, direction, np.exp(-shape[0] * np.abs(qd)) * direction]
 
 
@@ -284,7 +284,7 @@ class BellStribeck(Stribeck):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """See ``FrictionModel.columns``."""
+        """One array ``(…, n)`` per coefficient of the law; see ``FrictionModel.columns``."""
         return [qd, direction, np.exp(-((shape[0] * qd) ** 2)) * direction]
 
 
@@ -300,7 +300,7 @@ class Asymmetric(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """See ``FrictionModel.columns``."""
+        """One array ``(…, n)`` per coefficient of the law; see ``FrictionModel.columns``."""
         forward = qd > 0
         return [qd * forward, np.maximum(direction, 0.0), qd * ~forward, np.minimum(direction, 0.0)]
 
@@ -318,7 +318,7 @@ LAWS: Registry[type[FrictionModel]] = Registry("friction law", "ideal_robot.fric
 
 
 def law_of(key: str) -> type[FrictionModel]:
-    """The law of a key; raises InputError for no such law, or one that model files would know by another key."""
+    """The law of a key; raises InputError for an unknown key, or one that differs from the law's own ``key``."""
     if key not in LAWS:
         raise InputError(f"no such friction law; there are {', '.join(LAWS.names())}", field="friction", value=key)
     law = LAWS.get(key)
@@ -351,7 +351,7 @@ class PerJointFriction:
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
                direction: Array | None = None) -> Array:
-        """See ``FrictionModel.torque``."""
+        """Friction torque ``(…, n)`` [N m]; without presliding state zero at rest; see ``FrictionModel.torque``."""
         qd = np.asarray(qd, dtype=float)
         tau = np.empty(qd.shape)
         for joints, law in self._together:
@@ -366,7 +366,7 @@ class PerJointFriction:
         return np.asarray(np.maximum(self.sizes(creeping)[0].mean(axis=0), 0.0))
 
     def sliding(self, q: Array, qd: Array) -> Array:
-        """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.
+        """Direction of sliding ``(N, n)`` of joints with presliding; NaN for others.
 
         Positions ``q`` [rad] and velocities ``qd`` [rad/s] are consecutive in time.
         """
@@ -377,12 +377,12 @@ class PerJointFriction:
         return result
 
     def direction(self, q: Array, qd: Array) -> Array:
-        """Direction of sliding ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints the sign of velocity."""
+        """Direction of sliding ``(N, n)``, -1 to 1: by ``sliding``, in other joints the sign of velocity."""
         sliding = self.sliding(q, qd)
         return np.where(np.isnan(sliding), np.sign(qd), sliding)
 
     def sizes(self, qd: Array, load: Array | None = None) -> tuple[Array, Array]:
-        """See ``FrictionModel.sizes``."""
+        """Sizes of dry friction and of the rest ``(…, n)`` each [N m]; see ``FrictionModel.sizes``."""
         qd = np.asarray(qd, dtype=float)
         dry, fluid = np.empty(qd.shape), np.empty(qd.shape)
         for joints, law in self._together:
@@ -392,7 +392,7 @@ class PerJointFriction:
 
     @property
     def distance(self) -> Array:
-        """See ``FrictionModel.distance``."""
+        """Presliding distance ``(n,)`` [rad]; 0 without presliding; see ``FrictionModel.distance``."""
         return np.concatenate([law.distance for law in self.laws])
 
     def to_dict(self) -> list[dict[str, Any]]:

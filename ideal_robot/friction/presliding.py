@@ -1,7 +1,7 @@
-r"""Friction of one joint over one step of its motor: the only place where dry and fluid friction are put together.
+r"""Friction of one joint over one step of its motor, as the sum of dry and fluid friction.
 
-**Convention.** Friction is positive where it brakes positive motion. It has two parts, each of a size that velocity
-and load give:
+**Convention.** Friction is positive where it brakes positive motion. It has two parts, whose sizes depend on velocity
+and load:
 
 * *dry* friction of size :math:`D(\dot q, \tau_g) \ge 0`, which goes with the *direction of sliding*. Before a contact
   slides it bends: its force F follows Dahl's model (P. R. Dahl 1968) over the position q,
@@ -38,7 +38,7 @@ from ideal_robot.tolerances import MOVED_BEFORE, PRESLIDING_BAND, ZERO_CROSSING
 
 @jit()
 def presliding_state(dry: float, v: float, state: float, step: float, distance: float) -> float:
-    """Presliding state after a step [N m]; with ``dry`` 1 it is the direction of sliding.
+    """Presliding state after a step [N m]; for ``dry`` = 1 it is the direction of sliding.
 
     Args:
         dry: size D at the velocity and load of the step [N m].
@@ -53,13 +53,13 @@ def presliding_state(dry: float, v: float, state: float, step: float, distance: 
         return state
     end = dry if step > 0.0 else -dry
     behind = state - end
-    # In gross sliding nothing is behind, and the exponential is what costs time.
+    # In gross sliding the difference is zero; skipping the exponential saves time.
     return end + behind * np.exp(-abs(step) / distance) if behind != 0.0 else end
 
 
 @jit()
 def slid(direction: Array, steps: Array, distance: Array) -> Array:
-    """Directions of sliding ``(n,)``, -1 to 1, after one more step of all joints: ``presliding_state`` of unit size.
+    """Directions of sliding ``(n,)``, -1 to 1, after a step of all joints: ``presliding_state`` of unit size.
 
     Args:
         direction: before the step ``(n,)``.
@@ -75,7 +75,7 @@ def slid(direction: Array, steps: Array, distance: Array) -> Array:
 @jit()
 def friction_torque(dry: float, fluid: float, v: float, force: float, step: float, distance: float
                     ) -> tuple[float, float]:
-    """Friction torque of a joint and its presliding state after a step [N m]; the equations stand above.
+    """Friction torque of a joint and its presliding state after a step [N m], by the equations of this module.
 
     Args:
         dry, v, step, distance: of ``presliding_state``.
@@ -111,23 +111,23 @@ def friction_of_sizes(dry: Array, fluid: Array, v: Array, steps: Array, start: A
 def first_direction(qd: Array, distance: Array) -> Array:
     """Direction of sliding ``(n,)``, -1 to 1, in the first row of a motion.
 
-    The joint is taken to have moved for a tenth of a second before as in that row; at rest the direction is zero, for
-    nobody knows it.
+    The joint is assumed to have moved for a tenth of a second before with the velocity of that row; at rest the
+    direction is unknown and set to zero.
 
     Args:
         qd: velocities in the first row ``(n,)`` [rad/s].
         distance: presliding distance ``(n,)`` [rad].
     """
-    # Squared, so that the noise of a velocity at rest is without influence.
+    # Squared, so that the noise of a velocity at rest has no influence.
     return np.asarray(np.sign(qd) * -np.expm1(-((qd * MOVED_BEFORE / distance) ** 2)))
 
 
 @jit()
 def measured_steps(q: Array, distance: Array) -> Array:
-    """Steps ``(N, n)`` [rad] of measured positions, without what noise makes of them; the first one is zero.
+    """Steps ``(N, n)`` [rad] of measured positions with noise removed by a dead band; the first one is zero.
 
-    Noise wears the presliding state down at rest, step by step. So a motion is what leaves a band of a twentieth of the
-    presliding distance about the last position.
+    Noise at rest would reduce the presliding state step by step. So only a motion counts that leaves a band of a
+    twentieth of the presliding distance about the last position.
 
     Args:
         q: positions ``(N, n)`` [rad], consecutive in time.
@@ -158,6 +158,6 @@ def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
 
 
 def dahl(q: Array, distance: float) -> Array:
-    """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, zero at first: without the band."""
+    """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, zero at first; no dead band."""
     one, steps = np.ones((len(q), 1)), np.diff(q, prepend=q[:1])[:, None]
     return np.asarray(friction_of_sizes(one, 0.0 * one, steps, steps, np.zeros(1), np.array([distance]))[1][:, 0])

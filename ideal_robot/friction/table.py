@@ -1,4 +1,4 @@
-"""Friction of all joints of an arm as compiled code takes it: dry and fluid friction over speed, load, presliding."""
+"""Friction of all joints as a table for compiled code: dry and fluid friction over speed, load, presliding."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ DRY, FLUID = 0, 1
 
 
 class Friction(NamedTuple):
-    """Friction of ``n`` joints over ``m`` speeds; the equations stand in ``ideal_robot.friction.presliding``.
+    """Friction of ``n`` joints over ``m`` speeds; the equations are in ``ideal_robot.friction.presliding``.
 
     Attributes:
         speeds: rising from 0 ``(n, m)`` [rad/s]; linear in between, constant beyond.
         sizes: dry and fluid friction of an unloaded gear, forward and backward ``(n, 2, m, 2)`` [N m].
-        per_load: dry friction per torque that the gear transmits, and what is added to it where the motor drives the
-            load ``(n, 2)`` [1].
+        per_load: dry friction per torque that the gear transmits, and its increase where the motor drives the load
+            ``(n, 2)`` [1].
         distance: presliding distance ``(n,)`` [rad]; 0 where dry friction jumps.
     """
 
@@ -34,7 +34,7 @@ class Friction(NamedTuple):
 
     @classmethod
     def of(cls, law: PerJointFriction, v_max: Array) -> Friction:
-        """Friction of an identified law, tabled.
+        """The table of an identified law.
 
         Args:
             law: of every joint.
@@ -55,13 +55,13 @@ class Friction(NamedTuple):
 
     @property
     def sliding(self) -> Array:
-        """What sliding friction of an unloaded gear brakes with, forward and backward ``(n, 2, m)`` [N m]."""
+        """Sliding friction of an unloaded gear, forward and backward ``(n, 2, m)`` [N m]."""
         return np.asarray(self.sizes.sum(axis=3))
 
 
 @jit()
 def braking(sizes: Array) -> None:
-    """Makes sizes of friction dissipative: fluid friction below zero is taken from the dry one, neither stays negative.
+    """Makes sizes of friction dissipative: negative fluid friction is subtracted from the dry one, both end above zero.
 
     Args:
         sizes: dry and fluid friction ``(n, 2, m, 2)`` [N m], written to.
@@ -76,10 +76,10 @@ def braking(sizes: Array) -> None:
 
 @jit()
 def distance_with(friction: Friction, sizes: Array) -> Array:
-    """Presliding distance ``(n,)`` [rad] where friction has other sizes.
+    """Presliding distance ``(n,)`` [rad] of friction with other sizes.
 
-    The contacts are as stiff as before, D(0)/d, and bend further where they hold more (LuGre: the bristles' stiffness
-    is a constant). Load is another thing: it presses more of them together, and the distance stays.
+    The contacts' stiffness D(0)/d is constant, so they deform further with larger friction (LuGre: constant bristle
+    stiffness). Load differs: it brings more contacts together, and the distance stays.
 
     Args:
         friction: before.
@@ -95,7 +95,7 @@ def distance_with(friction: Friction, sizes: Array) -> Array:
 
 
 def largest_speeds(v_max: Array) -> Array:
-    """Speeds that friction is looked at over ``(n,)`` [rad/s]: the limits, 10 rad/s where an arm has none."""
+    """Largest speeds of the friction tables ``(n,)`` [rad/s]: the limits, 10 rad/s where an arm has none."""
     return np.where(np.isfinite(v_max), v_max, 10.0)
 
 
@@ -104,14 +104,14 @@ def speed_grid(v_max: Array) -> Array:
     return np.ascontiguousarray(1.2 * largest_speeds(v_max)[:, None] * np.linspace(0.0, 1.0, 161) ** 3)
 
 
-# Written into who calls them: handing the record on to each took an eighth of the loop's simulation.
+# Inlined, as passing the record on took an eighth of the loop's simulation time.
 @jit(inline="always")
 def friction_sizes(friction: Friction, joint: int, v: float, load: float) -> tuple[float, float]:
     """Sizes of dry and fluid friction of a joint [N m].
 
     Args:
         friction, joint: of the arm, and which joint, from 0.
-        v: velocity of the motor [rad/s]. At rest it is forward.
+        v: velocity of the motor [rad/s]. At rest the forward value is used.
         load: torque that the gear transmits [N m].
     """
     speed, side, low, high = abs(v), 0 if v >= 0.0 else 1, 0, friction.speeds.shape[1] - 1

@@ -1,6 +1,6 @@
-r"""Friction's terms: what an identified law may lack, as one linear basis with a prior.
+r"""Basis of friction's deviations from an identified law: linear terms with a prior.
 
-What the friction of a joint has beyond the identified one is, over its dry friction F,
+The friction of a joint beyond the identified one, divided by its dry friction F, is
 
 .. math::
 
@@ -9,8 +9,8 @@ What the friction of a joint has beyond the identified one is, over its dry fric
 
 with z the direction of sliding and s the speed over the largest one: a dry term, one that rises with speed, and a curve
 that is smooth over the logarithm of speed; its :math:`\phi_k` are the principal components of curves whose values at
-two speeds correlate as ``likeness`` says. What a term is at standstill is dry friction, the rest acts at once. The
-dry term is a factor of friction by load as well.
+two speeds correlate as ``likeness`` says. The value of a term at standstill is dry friction with presliding, the rest
+acts at once. The dry term is a factor of friction by load as well.
 
 Every parameter is in units of its prior standard deviation.
 """
@@ -62,7 +62,7 @@ _DRY = np.array([1.0, 0.0, *_CURVE[0]])
 
 @jit()
 def terms_along(share: float, z: float, h: Array) -> None:
-    """Columns of friction's terms over dry friction at one instant, written to ``h[:TERMS]``.
+    """Writes the columns of friction's terms, relative to dry friction, at one instant to ``h[:TERMS]``.
 
     Args:
         share: velocity over the largest speed.
@@ -83,7 +83,7 @@ def terms_along(share: float, z: float, h: Array) -> None:
 
 @jit()
 def friction_terms(share: Array, z: Array) -> Array:
-    """Columns of friction's terms over dry friction ``(m, TERMS)``.
+    """Columns ``(m, TERMS)`` of friction's terms, relative to dry friction.
 
     Args:
         share, z: velocities over the largest speed, and directions of sliding ``(m,)``.
@@ -100,7 +100,7 @@ def dry_sizes(friction: Friction) -> Array:
 
 
 def table_terms(friction: Friction, v_max: Array) -> Array:
-    """What a unit of each term adds to dry and fluid friction over speed ``(n, TERMS, m, 2)`` [N m].
+    """Dry and fluid friction over speed that a unit of each term adds ``(n, TERMS, m, 2)`` [N m].
 
     Args:
         friction, v_max: as identified, and speed limits ``(n,)`` [rad/s].
@@ -113,7 +113,7 @@ def table_terms(friction: Friction, v_max: Array) -> Array:
 
 @jit()
 def with_terms(friction: Friction, terms: Array, values: Array) -> Friction:
-    """Friction with its terms; what would drive in place of braking is none.
+    """The table of friction with its terms added; parts that would drive instead of brake are set to zero.
 
     Args:
         friction: without.

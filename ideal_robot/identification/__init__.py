@@ -1,1 +1,1 @@
-"""Models from recordings."""
+"""Identifies models from recordings."""

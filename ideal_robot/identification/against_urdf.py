@@ -1,7 +1,7 @@
-"""What a recording is, by comparison with the URDF: signs, units and order of the torques, and where gravity points.
+"""Compares a recording with the URDF: signs, units and order of the torques, and the direction of gravity.
 
 Before anything is identified the measured torques are explained by the rigid body of the URDF and by friction that
-brakes, and the explanations of the recording are weighed by one number, the evidence
+brakes, and the explanations of the recording are compared by one number, the evidence
 
     ln p(τ | H) = -½ r'(I + X P X')⁻¹ r - ½ ln|I + X P X'| ,   r = τ - X μ,
 
@@ -103,13 +103,13 @@ _SLIPS = 30.0
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a recording is and does not seem to be.
+    """One property of a recording that differs from its description.
 
     Attributes:
         kind: ``wrong-sign``, ``wrong-scale``, ``exchanged``, ``no-gravity`` or ``gravity-turned``.
         joints: from 1.
-        text: what it is and what to do, one line.
-        nats: by how much it explains the recording better than what the recording claims to be.
+        text: the finding and its remedy in one line.
+        nats: gain in log evidence over the recording's own description.
     """
 
     kind: str
@@ -119,7 +119,7 @@ class Finding:
 
     @property
     def warning(self) -> str:
-        """The named warning."""
+        """The finding as a named warning."""
         return f"{self.kind}: {self.text}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -129,7 +129,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Reading:
-    """What is supposed of a recording.
+    """A hypothesis about signs, units and order of a recording's torques.
 
     Attributes:
         column: of each joint the column that is its torque ``(n,)``, from 0.
@@ -145,26 +145,26 @@ class Reading:
 
     @classmethod
     def claimed(cls, n: int) -> Reading:
-        """What a recording of docs/files.md claims to be."""
+        """The hypothesis that a recording agrees with the format in docs/files.md."""
         return cls(tuple(range(n)), (1,) * n, (1.0,) * n)
 
 
 def findings(recording: Recording, robot: Robot, *, amperes: bool = False) -> tuple[Finding, ...]:
-    """What a recording is that it does not seem to be; empty where it is what it claims.
+    """Properties of a recording that differ from its description; empty where it agrees.
 
     Args:
         recording: cleaned, with ``tau_i``.
         robot: the URDF that it is compared with.
         amperes: whether ``tau_i`` are in a unit of each joint's own: then nothing is compared.
     """
-    # Currents whose gains nobody knows, nor their signs, say nothing of the URDF's masses.
+    # Currents of unknown gain and sign cannot be compared with the URDF's masses.
     rows = None if amperes else _Rows.of(recording, robot)
     return () if rows is None else _said(*_searched(rows), rows, robot)
 
 
 def contradicting(recordings: Sequence[Recording], robot: Robot, *, amperes: bool = False
                   ) -> tuple[tuple[Finding, ...], list[str]]:
-    """What recordings are that they do not seem to be, and a warning of each with its recording.
+    """The findings of each recording, and a warning for each finding with its recording.
 
     Args:
         recordings, robot, amperes: see ``findings``.
@@ -222,13 +222,14 @@ class _Rows:
         shapes = (s.qdd, *(np.tanh(s.qd / (turns * top)) for turns in _TURNS), s.qd)
         own = [_in_units(s.decimate(column)[::stride]) for column in shapes]
         dry = own[1]
-        # What viscous friction, or another turning over, adds to dry friction of the same size may have either sign.
+        # Viscous friction, or another shape of reversals, may change dry friction of the same size in either direction.
         for column in own[2:]:
             column -= dry * np.sum(column * dry, axis=0) / np.maximum(np.sum(dry * dry, axis=0), 1e-12)
         pushed = _pushed(recording, robot, s, stride)
-        # A joint that hardly moves shows a constant that its dry friction holds.
+        # In a joint that hardly moves dry friction acts as a constant torque.
         size = np.hypot(scale, _DRY * robot.tau_max)
-        # The acceleration's own column has half of the torque's spread, friction too; their sign is what is known.
+        # The acceleration's own column and friction have half of the torque's standard deviation as a prior; only their
+        # sign is known.
         X = [np.column_stack([*(np.hstack([one[:, i] @ root, pushed[:, i] * (k == 0)]) for k, one in enumerate(bodies)),
                               *(scale[i] * column[:, i] for column in own),
                               np.full(len(y), size[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
@@ -242,7 +243,8 @@ class _Rows:
         first = cls(products=_products(X, y, white, P, own_torque), n=n, links=P, live=live, count=len(y),
                     least=np.ones(n), rubs=rubs, peaks=peaks, shares=shares)
         left = first.left(X, y)
-        # The colour is that of what the recording leaves as it claims to be; the sizes are each hypothesis' own.
+        # The colour of the noise is that of the residual under the recording's own description; its size is fitted for
+        # each hypothesis.
         noise = [ColouredNoise.fit(left[:, j], np.ones(len(y), dtype=bool)) for j in range(n)]
         return replace(first, products=_products(X, y, noise, P, np.ones((n, n), dtype=bool) & live),
                        least=least / np.array([one.std for one in noise]), cache={})
@@ -253,7 +255,7 @@ class _Rows:
         if key not in self.cache:
             P, weight, products = self.links, np.array([1.0, *gravity]), self.products[i, j]
             means = 4 * P + _OWN
-            # Columns of inertia and of gravity along each axis are added up.
+            # Columns of inertia, and of gravity along each axis, are added.
             half = np.empty((P + _OWN + 2, products.shape[1]))
             half[:P] = np.tensordot(weight, products[: 4 * P].reshape(4, P, -1), 1)
             half[P : P + _OWN] = products[4 * P : means]
@@ -273,7 +275,8 @@ class _Rows:
         With one step the noise is that of the recording as it claims to be: a lower bound, in a third of the time.
         """
         fitted = self._fitted(reading, steps)
-        # Friction brakes and rotors resist: of their normal priors one half, of the posterior what lies there.
+        # Friction brakes and inertia is positive: the score uses the share of the posterior with these signs, the
+        # prior's being one half.
         sure = (fitted.own / fitted.deviation)[:, :2]
         return fitted.value + float(np.sum(special.log_ndtr(sure) + np.log(2.0)))
 
@@ -302,7 +305,7 @@ class _Rows:
             blocks[:, :, :P] *= self.sure
         column = list(reading.column)
         least = np.where(self.live[column], self.least[column], 1.0)
-        # Friction is at most what a gear has in that unit; acceleration and constant stay as they are.
+        # Friction is bounded by a gear's typical size in that unit; acceleration and constant are not.
         own_size = np.ones((n, _OWN))
         own_size[:, 1:-1] = np.minimum(1.0, unit * self.rubs[np.arange(n), column][:, None])
         # The residual about the URDF's own torque, ± τ - unit · X μ, and the columns of the parameters in it.
@@ -315,7 +318,7 @@ class _Rows:
         size, ones = np.maximum(1.0, least), np.eye(_OWN)
         for step in range(steps):
             weight = 1.0 / size**2
-            # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
+            # Scaled to a unit diagonal, as units a thousand times off exceed double precision.
             H = weight[:, None, None] * of_own + ones
             scale = 1.0 / np.sqrt(np.einsum("ikk->ik", H))
             lower = np.linalg.cholesky(scale[:, :, None] * H * scale[:, None, :] + PRODUCTS * ones)
@@ -329,7 +332,7 @@ class _Rows:
             z = back @ (weight @ aim_links - z_own.ravel() @ pulled)
             links = z @ back
             own = np.einsum("ilk,il->ik", inverse, z_own - (pulled @ links).reshape(n, _OWN))
-            # Of the posterior's covariance: the links', between them and a joint's own, a joint's own.
+            # Blocks of the posterior covariance: of the links, between links and a joint's own parameters, of those.
             seen = (pulled @ back.T).reshape(n, _OWN, P)
             of_joint = inverse.transpose(0, 2, 1) @ (seen @ seen.transpose(0, 2, 1) + ones) @ inverse
             if step == steps - 1:
@@ -375,7 +378,7 @@ def _products(X: list[Array], y: Array, noise: list[ColouredNoise], links: int, 
     n, C, use = len(X), X[0].shape[1] + 1, np.ones(len(y), dtype=bool)
     scale, products = np.std(y, axis=0), np.zeros((n, n, C, C))
     for i, j in np.argwhere(pairs):
-        # A joint's own columns have the spread of the column that is taken for its torque.
+        # A joint's own columns have the standard deviation of the column that is assumed to be its torque.
         own_scale = np.ones(C - 1)
         own_scale[4 * links : 4 * links + _OWN] = scale[j] / scale[i] if scale[i] > 0.0 else 1.0
         white = noise[j].whiten(np.column_stack([X[i] * own_scale, y[:, j]]), use)
@@ -452,7 +455,7 @@ def link_prior(robot: Robot) -> tuple[Array, Array]:
     return mean, root
 
 
-# Hypotheses.
+# Search over hypotheses.
 
 Score = Callable[[Reading], float]
 """Evidence and prior of a supposition [nats]."""
@@ -480,7 +483,7 @@ def _prior(reading: Reading, rows: _Rows) -> float:
     if size == 0.0:
         value -= _CHANGE
     elif (tilt := float(np.arccos(np.clip(-reading.gravity[2] / size, -1.0, 1.0)))) > _LEVEL:
-        # Any direction of the sphere is as likely; those of an arm that stands are a small cap of it.
+        # A uniform prior over directions of the sphere; those of a floor-mounted arm are a small cap of it.
         value -= _CHANGE + float(np.log(2.0 / (1.0 - np.cos(_LEVEL))))
     else:
         value -= 0.5 * (2.0 * tilt / _LEVEL) ** 2
@@ -505,10 +508,10 @@ def _searched(rows: _Rows) -> tuple[Reading, dict[str, float]]:
         for kind, change in _changes(reading, rows):
             if kind not in leading or rough(change) > rough(leading[kind]):
                 leading[kind] = change
-        # Of shares of rated torques one joint alone gains little: all are in another unit at once.
+        # If torques are shares of rated torques, one joint alone gains little, so all units are changed at once.
         each = _tuned(_units_of_its_own(reading, score), score)[0]
         leading[WRONG_SCALE] = max(leading[WRONG_SCALE], each, key=score)
-        # A direction is right to a few degrees before it is compared with anything else.
+        # A direction is refined to a few degrees before the comparison.
         leading[TURNED] = _directed(leading[TURNED], rough)
         kind, change = max(leading.items(), key=lambda pair: score(pair[1]))
         if score(change) < best + _ACCEPTED:
@@ -517,7 +520,7 @@ def _searched(rows: _Rows) -> tuple[Reading, dict[str, float]]:
         gained[kind] = gained.get(kind, 0.0) + value - best
         reading, best = change, value
     if WRONG_SCALE in gained:
-        # One joint in another unit pulls the others' along, where two of them carry the same bodies.
+        # A joint in another unit biases the units of others that carry the same bodies.
         other, value = _tuned(_units_of_its_own(replace(reading, unit=(1.0,) * rows.n), score), score)
         reading = other if value > best - _ACCEPTED else reading
     return reading, gained
@@ -601,7 +604,7 @@ def _directed(reading: Reading, score: Score) -> Reading:
     return reading
 
 
-# Sentences.
+# Sentences about the findings.
 
 def _said(reading: Reading, gained: dict[str, float], rows: _Rows, robot: Robot) -> tuple[Finding, ...]:
     """What the best supposition says that the recording does not, each with its remedy."""
@@ -641,11 +644,11 @@ def _scale(reading: Reading, rows: _Rows, robot: Robot, nats: float) -> Finding 
     logs = np.log(reading.unit)
     common = float(np.median(logs[live]))
     apart = [i for i in live if abs(logs[i] - common) > _OFF]
-    # Where torques come in steps of a share one joint is enough: the others' bodies may be as heavy as that.
+    # If torques are quantised in shares one joint is enough evidence, as the others' bodies may be that heavy.
     told = rows.shares and any(abs(logs[i]) > _SHARE_OFF for i in live)
     if not told and abs(common) <= _COMMON_OFF and len(apart) < _MOST * len(live):
         return None
-    # Shares of a rated torque are those of every joint, though one may be near a newton metre by chance.
+    # Shares of a rated torque apply to every joint, even if one is near a newton metre by chance.
     weighed, surer = _by_the_urdf(reading, rows, live)
     units = np.array(weighed.unit)
     off = live if told else [i for i in live if max(abs(logs[i]), abs(np.log(units[i]))) > _OFF]
@@ -672,7 +675,7 @@ def _by_the_urdf(reading: Reading, rows: _Rows, joints: Sequence[int]) -> tuple[
     """
     surer = replace(rows, sure=_WEIGHED / _MASSES)
     for step in (_APART, 0.25 * _APART, 0.0625 * _APART):
-        # Joints that carry the same bodies draw each other's units along.
+        # Joints that carry the same bodies bias each other's units.
         for _ in range(2 * len(joints)):
             before = reading
             for i in joints:

@@ -1,4 +1,4 @@
-"""What commands and angles alone tell of an arm: the command's law, without a torque."""
+"""Identification from commands and angles alone: the command's law, without torques."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class CommandIdentification(Summarised):
     """A model from commands and angles alone: data sheet, and the command's law.
 
     Attributes:
-        model: bodies as the URDF has them, and ``model.command``; ``precorrect``, ``play`` and followers use it.
+        model: rigid bodies by the URDF, and ``model.command``; ``precorrect``, ``play`` and followers use it.
         recordings: that it is from.
         warnings: named warnings, each ``name: sentence``.
-        missing: what the recordings could not tell, each ``part: what is needed``.
+        missing: parts that the recordings do not determine, each ``part: what is needed``.
     """
 
     model: Model
@@ -62,12 +62,12 @@ class CommandIdentification(Summarised):
 
 def identify_arm(recordings: Recording | Sequence[Recording], robot: Robot, *, progress: Progress = silent,
                  **options: Any) -> IdentificationResult | CommandIdentification:
-    """Identifies what the recordings hold: the whole model with torques, the command's law without.
+    """Identifies all that the recordings permit: the whole model with torques, the command's law without.
 
     Args:
         recordings: with ``t`` [s], ``q_i`` [rad], and ``tau_i`` [N m] or ``current_i`` [A] or commands ``q_c_i`` [rad].
         robot: the arm.
-        progress: called with the share done and what is being done.
+        progress: called with the share done and the present step.
         options: of ``identify_model``, which identifies the whole model.
 
     Raises:
@@ -80,7 +80,7 @@ def identify_arm(recordings: Recording | Sequence[Recording], robot: Robot, *, p
 
 
 def without_torque(recordings: Sequence[Recording]) -> bool:
-    """Whether the recordings hold commands and angles alone, as of an arm that reports no torques."""
+    """Whether the recordings have commands and angles but no torques."""
     return bool(recordings) and all(
         commands_of(r) and not any(name.startswith(("tau_", "current_")) for name in r.columns) for r in recordings)
 

@@ -1,21 +1,21 @@
-"""The cascade of each joint's controller from recordings with commands.
+"""Identifies the cascade of each joint's controller from recordings with commands.
 
 [G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
-A recording that resolves what the loops answer with allows better: the cascade
+A recording that resolves the loops' response allows more: the cascade
 
     r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ + k_a r̈ - q̇_f
     τ = k_p u + k_i ∫u + τ_c tanh(ṙ / v_c) + c
 
-is simulated with the *measured* angles, so neither rigid body nor friction enters, and its parameters are those
-whose torque comes closest to the measured one over the whole recording (simulated, not predicted a step ahead, as
-[G] Fig. 17 teaches). What a drive logs as its torque is the present one, or the mean since the last sample, which is a
-millisecond or two older. Taken for the other, gains come out wrong by a fifth; the one that fits better is taken.
-Written out, τ is linear in k_p k_v, k_p k_ff, k_p k_a and k_p; only the times and k_i / k_p need a search. What happens
-to commands before the cascade (a lateness, a lag) is the same for all joints, and sought where a short low-pass does
-not explain the torque. So is what drives may do by themselves: the speed v_c over which they turn round what they
-compensate of friction, τ_c, and the share g in which the gains of the velocity loop follow the inertia that a joint
-moves, ``k_p (1 + g (J(q) / J_0 - 1))``, and other kinds of controllers: PID, impedance, inverse dynamics, whose torques
-are looked at where they were made, before the data sheet's mass matrix.
+is simulated with the *measured* angles, so neither rigid body nor friction enters, and its parameters are those whose
+torque comes closest to the measured one over the whole recording (simulated, not predicted a step ahead, as [G] Fig. 17
+teaches). A drive logs its present torque, or the mean since the last sample, which is a millisecond or two older. The
+wrong assumption changes gains by a fifth; the one that fits better is used. Written out, τ is linear in k_p k_v, k_p
+k_ff, k_p k_a and k_p; only the times and k_i / k_p need a search. What happens to commands before the cascade (a
+lateness, a lag) is the same for all joints, and sought where a short low-pass does not explain the torque. So is what
+drives may do by themselves: the speed v_c over which they turn round what they compensate of friction, τ_c, and the
+share g in which the gains of the velocity loop follow the inertia that a joint moves, ``k_p (1 + g (J(q) / J_0 - 1))``,
+and other kinds of controllers: PID, impedance, inverse dynamics, whose torques are looked at where they were made,
+before the data sheet's mass matrix.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     Args:
         recording: with ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` every 20 ms at least.
         robot: cycles, and the bodies of the data sheet.
-        rotors: inertias of the rotors by the data sheet ``(n,)`` [kg m²], for gains that follow what a joint moves;
-            None where these are not to be looked for.
+        rotors: inertias of the rotors by the data sheet ``(n,)`` [kg m²], for gains scheduled by the joint's inertia;
+            None if such gains are not searched.
 
     Raises:
         InputError: a missing column, too slow a sampling, a joint that does not move.
@@ -98,7 +98,7 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     if not parts:
         raise InputError(f"too short: {2 * _EDGE + 2} samples without a gap are needed", file=recording.source,
                          field="t")
-    # How a drive logs is the same for all of its joints.
+    # All joints of a drive log in the same way.
     sheets, moved = ([], None) if rotors is None else _sheets(parts, robot, rotors)
     joints = [_joints(parts, robot, averaged, sheets) for averaged in (False, True)]
     plain = _fitted(joints, _Channel())
@@ -106,7 +106,7 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     fits = [plain, *([] if before is None else [_fitted(joints, before)])]
     more = [channel for fit, each in fits if (channel := _helped(each, fit)) is not None]
     best = plain[0]
-    # What asks for more has to leave clearly less: a lateness comes before another kind of controller.
+    # A more complex channel has to fit clearly better: a delay is tried before another kind of controller.
     for other in (*(fit for fit, _ in fits), *(_needed(joints, _fitted(joints, channel)[0]) for channel in more)):
         best = other if other.squares < _SEEN * best.squares else best
     k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, acceleration, turns = best.values.T
@@ -218,8 +218,8 @@ def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, sheets: Se
 def commands_in_force(part: Recording, robot: Robot) -> Array:
     """Set points of the position loops ``(K (N - 1) + 1, n)`` [rad], K of their cycles in each of the recording's.
 
-    A log that is finer than the interpolation cycle holds them. One that holds the commands as they are handed over
-    is a cycle ahead of them: they are lines, each of which reaches its command at its cycle's end.
+    A log finer than the interpolation cycle contains them. A log of the commands as sent is a cycle ahead: they are
+    joined by lines, each reaching its command at the end of its cycle.
 
     Args:
         part: evenly sampled, with ``q_c_i`` ``(N,)``.
@@ -292,7 +292,7 @@ def _helped(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
     channel = min(found, key=lambda one: left(one) - np.log(_SEEN) * (found.index(one) > 0))
     if channel == cascade:
         return None
-    # How rates lag shows with the right low-pass of the commands only.
+    # Lags of rates can only be seen with the right low-pass of the commands.
     lags = channel.rate or found.index(channel) > 0
     return _agreed(joints, channel._replace(rate=channel.rate or _RATES[1]), "rate") if lags else channel
 
@@ -374,7 +374,7 @@ class _JointCascade:
     def __init__(self, q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float,
                  averaged: bool = False, sheet: _Sheet | None = None) -> None:
         self.averaged, self.sheet = averaged, sheet
-        # A logged cycle is measured, and rarely a whole number of the controller's: its steps are fitted into it.
+        # The logged cycle is measured and rarely a multiple of the controller's, whose steps are adapted to it.
         finer = (len(q_c) - 1) // (len(q) - 1)
         inner = max(round(cycle / finer / t_velocity), 1)
         self.every = finer * inner
@@ -382,13 +382,13 @@ class _JointCascade:
             t_velocity = cycle / self.every
         self.q_c, self.cycle, self.t_position, self.t_velocity = q_c, cycle, cycle / finer, t_velocity
         self._low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
-        # More rows say nothing more.
+        # More rows would not add information.
         self._every = max(int(1.0 / (_ROWS * _CUTOFF * cycle)), 1)
         # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
         fine = t_velocity * np.arange(self.every * (len(q) - 1) + 1)
         self.angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
         self.q = self.angle[::inner]
-        # A search changes one time after the other.
+        # A search changes one time constant after the other, so the others' results are cached.
         self._commanded, self._moved, self._added = (
             lru_cache(_SEARCHED)(columns) for columns in (self._of_commands, self._of_velocity, self._of_bodies))
         self.tau, self.before = (rows - rows.mean() for rows in (
@@ -407,7 +407,7 @@ class _JointCascade:
         """
         low, velocity = np.abs(times)
         schedule = channel.schedule if self.sheet is not None else 0.0
-        # What position and integrator make of it is not asked here.
+        # Settings of position and integrator are removed from the cache key, as they do not matter here.
         commanded = self._commanded(low, channel._replace(low=0.0, schedule=schedule, integrated=0.0, bodies=False))
         moved = self._moved(velocity, schedule)
         columns = [commanded[:2], moved[:1], commanded[2:4], moved[1:], commanded[4:]]
@@ -415,7 +415,7 @@ class _JointCascade:
             columns.append(self._added(channel.coupled))
         return np.ascontiguousarray(np.vstack(columns).T)
 
-    # A value a row: filters and sums run along rows that lie in one piece.
+    # One row per value, so that filters and sums run along contiguous memory.
 
     def _of_commands(self, low: float, channel: _Channel) -> Array:
         """Position error, rate, their integrals, acceleration and what turns with the rate ``(4..., M)``."""
@@ -427,7 +427,7 @@ class _JointCascade:
         more = [*([_differentiated(rate, step, channel.rate)] if channel.accelerated else []),
                 *([np.tanh(rate / channel.turns)] if channel.turns else [])]
         both = self._held(np.stack([r - self.q, rate]), channel.schedule)
-        # What drives add does not follow the inertia; accelerations do as the loops' gains.
+        # Additional terms of the drives are not scheduled with the inertia; accelerations are, like the loops' gains.
         further = [self._held(value[None], channel.schedule * (channel.accelerated and k == 0))
                    for k, value in enumerate(more)]
         return self._logged(np.vstack([both, np.cumsum(both, axis=1) * self.t_velocity, *further]))
@@ -514,7 +514,7 @@ class _Stretches:
 
     def _solved(self, lags: Array, channel: _Channel, lagging: bool) -> tuple[Array, Array, float]:
         """Products ``(k,)``, the matrix that makes their columns ``(c, k)``, and the share of the squares left [1]."""
-        # About what time a low-pass has is where a search begins.
+        # A search starts with a rough time constant of the low-pass.
         if (key := (*lags[:2], *channel._replace(low=0.0, integrated=0.0))) != self._kept:
             H = [part.columns(lags[:2], channel) for part in self._parts]
             self._kept = key
@@ -532,7 +532,7 @@ class _Stretches:
             T[4, -2:] = 1.0, -1.0
         A, tau = self._R[:, :-1] @ T, self._R[:, -1]
         unit = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
-        # A loop feeds back what it is to take away: no gain is negative.
+        # A loop has negative feedback: no gain is negative.
         products, rest = nnls(A / unit, tau)
         return products / unit, T, float(rest**2 / np.sum(tau**2))
 
@@ -567,7 +567,7 @@ def _fit_joint(joint: _Stretches, channel: _Channel, free: str = "") -> tuple[Ar
     starts = [np.array([low, 2.0, ratio, *([getattr(channel, free) / joint.cycle] if free else [])])
               for low in lows for ratio in _RATIOS]
     found = []
-    # With PID control the lags are to be about right before the integral of the position's error says anything.
+    # With PID control the lags have to be nearly right before the integral of the position error can be seen.
     for lagging in ((False, True) if channel.integrated < 1.0 else (False,)):
         start = starts[int(np.argmin([joint.left(*asked(lags), lagging) for lags in starts]))]
         for way in ((True, False) if lagging else (False,)):
@@ -578,7 +578,7 @@ def _fit_joint(joint: _Stretches, channel: _Channel, free: str = "") -> tuple[Ar
     (stiff, ahead, k_p, *added), rest = joint.fitted(lags, channel)
     k_p = max(k_p, 1e-9)
     error = 100.0 * float(np.linalg.norm(rest))
-    # An integrator that is slower than the recording is none.
+    # An integrator slower than the recording is treated as none.
     k_i = lags[2] * k_p if lags[2] > _SLOWEST else 0.0
     return np.array([stiff / k_p, ahead / k_p, k_p, k_i, *lags[:2], *added]), error, time
 

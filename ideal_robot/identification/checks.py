@@ -1,4 +1,4 @@
-"""What is wrong with recordings, before they are used.
+"""Checks recordings before they are used.
 
 Errors stop; warnings have a name, so that people and programs can look for them.
 """
@@ -35,7 +35,7 @@ def checked(recordings: Sequence[Recording], robot: Robot, *, commands: bool = F
 
 
 def require_distinct(recordings: Sequence[Recording]) -> None:
-    """Raises InputError where two recordings are the same one: it would count twice, or judge what it has found."""
+    """Raises InputError for duplicate recordings, which would be weighted twice, or serve as their own validation."""
     known: dict[str, Recording] = {}
     for recording in recordings:
         if (other := known.setdefault(recording.hash, recording)) is not recording:
@@ -57,10 +57,10 @@ def _some(names: Sequence[str]) -> str:
 
 
 def excitation_warnings(model: Model, solution: Solution) -> list[str]:
-    """What the data do not show, from the solution's statistics.
+    """Warnings about parameters that the data do not determine, from the solution's statistics.
 
     Args:
-        model, solution: what was identified, and how well.
+        model, solution: the identified model, and its least-squares solution.
     """
     warnings = []
     parameters = model.parameters

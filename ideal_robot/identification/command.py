@@ -54,7 +54,7 @@ def identify_command(recordings: Sequence[Recording], model: Model, *, torque: b
 
     Args:
         recordings: with ``q_i`` and ``q_c_i`` (or ``q_d_i``); with ``tau_i`` where ``torque``.
-        model: what is known of the arm: identified, or its data sheet's.
+        model: the identified model, or one of the data sheet.
         torque: whether the model's torque is identified, so that the law may have terms of it.
         progress: called with the share done.
 
@@ -121,7 +121,7 @@ def _with_unseen(stretches: Sequence[Stretch], model: Model, cutoff: float) -> l
         kept = [s.rows[fold[:-1] != held_out] for s, fold in zip(stretches, each_fold, strict=True)]
         X = np.concatenate([x[rows].reshape(-1, x.shape[2]) for x, rows in zip(columns, kept, strict=True)])
         y = np.concatenate([x[rows].ravel() for x, rows in zip(left, kept, strict=True)])
-        # A torque that does not measure its joint says nothing.
+        # A torque that does not measure its joint is not used.
         X, y = X[np.isfinite(y)], y[np.isfinite(y)]
         size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         step = np.linalg.lstsq(X / size, y, rcond=_EXCITED)[0] / size
@@ -174,7 +174,7 @@ def require_commands(recording: Recording, name: str) -> None:
 
 
 def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot: Robot) -> CommandLaw:
-    """The law, with what [G]'s identified loop leaves of the same recordings, and which of the two predicts better.
+    """The law with the residual of [G]'s identified loop on the same recordings, and which of the two is better.
 
     Args:
         law: as identified from the recordings.
@@ -184,8 +184,7 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     stretches = stretches_of(recordings, commands_of(recordings[0]), still=law.still)
     try:
         loop = loop_model(model, robot)
-        # Some controllers log what they were handed over as finely as set points in force: what the loop predicts
-        # better is it.
+        # Some controllers log received commands as finely as set points: the one that the loop predicts better is used.
         early = sorted({0.0, law.reached_after(loop.t_ipo)})
         made = min(([_made_by_loop(s, loop, by) for s in stretches] for by in early), key=lambda rows: float(sum(
             np.sum((s.motion.q - own)[s.rows] ** 2) for s, own in zip(stretches, rows, strict=True))))
@@ -193,13 +192,13 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     except IdealRobotError:
         return law
     left = np.concatenate([(s.motion.q - q)[s.rows] for s, q in zip(stretches, made, strict=True)])
-    # A path is measured without the low-pass that the two are compared behind.
+    # Measured without the low-pass that is applied for the comparison.
     error = np.array([variances([(s.measured - q)[s.rows, j] for s, q in zip(stretches, made, strict=True)],
                                 stretches, j) for j in range(law.n)])
     of_law, of_loop = (np.sqrt(np.mean(x**2, axis=0)) for x in (own, left))
     motions = [s.motion for s in stretches]
     doubt = np.array([probabilities([of_loop[j], of_law[j]], 2 * tones(motions, j))[1] for j in range(law.n)])
-    # The loop knows more of gears and friction, and keeps what is open.
+    # The loop has more information on gears and friction, and keeps its uncertainty.
     return dataclasses.replace(law, cascade=of_loop, cascade_error=error, leads=leaves_less(own, left), doubt=doubt)
 
 

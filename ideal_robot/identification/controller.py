@@ -2,8 +2,9 @@
 
 With the integrator the torque is the PI-filtered output of the PD part; filtered that way, each column of (16) gives a
 column of the simulated torque, which is linear in the gains. So for a given k_I the whole controller is *simulated* by
-one small least-squares fit, and k_I is the value whose simulation comes closest to the measured torque. Estimating k_I
-directly, from one step to the next, lets errors add up in the integrator: [G] Fig. 17, kept here for the comparison.
+one small least-squares fit, and k_I is the value whose simulation comes closest to the measured torque. A direct
+estimate of k_I, from one step to the next, accumulates errors in the integrator: [G] Fig. 17, implemented for the
+comparison.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class ControllerIdentification(Summarised):
     drifting: Array
 
     def summary(self) -> list[tuple[str, str]]:
-        """How well the simulated controllers explain the torque."""
+        """Fit of the simulated controllers to the torque as rows of label and value."""
         return [("controllers", f"of {len(self.error_percent)} joints"),
                 ("error of the torque", listed(self.error_percent, "%"))]
 
@@ -66,7 +67,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
 
     Raises:
         InputError: no command columns, a sampling time that does not divide the cycle, a joint that does not move, a
-            command or a torque that tells nothing.
+            command or a torque without information.
     """
     _require_signals(recordings, without_integrator)
     n = recordings[0].n
@@ -80,7 +81,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     best, less, more = (_gains(stretches, pd_stretches, t_cycle, d)
                         for d in (delay, delay - delay_std, delay + delay_std))
     gains, k_i = best.gains[:4], best.gains[4]
-    # Gains follow the delay, which is found from the same noise.
+    # The gains depend on the delay, which is estimated from the same noise.
     std = np.hypot(best.std, 0.5 * (more.gains - less.gains))
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2", "k_i"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
@@ -119,7 +120,7 @@ def _gains(stretches: Sequence[_Stretch], without_integrator: Sequence[_Stretch]
         joint = _Joint(series, j)
         fixed = None
         if pd_series:
-            # By plain least squares, for there is no integrator; an offset is estimated along.
+            # Plain least squares, as there is no integrator; an offset is estimated, too.
             pd = _simulation(_Joint(pd_series, j), 0.0, None)
             fixed, std[:4, j] = pd.gains, pd.std
         gains[4, j], std[4, j] = _integral_gain(joint, fixed)
@@ -243,7 +244,7 @@ class _Joint:
         C, S, y = (np.concatenate([x - x.mean(axis=0) for x in parts])
                    for parts in (self.columns, self.integrals, self.tau))
         self.products = C.T @ C, C.T @ S + S.T @ C, S.T @ S, C.T @ y, S.T @ y, float(y @ y)
-        # Neighbouring samples of the offset series tell the same; there is as much news as one of them has samples.
+        # Neighbouring samples of the offset series are not independent; the information is that of one of them.
         self.news = sum(len(part.t) / part.offsets for part in series)
 
 

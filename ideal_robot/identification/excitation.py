@@ -1,8 +1,8 @@
 """Fourier-series motions that excite all base parameters within the limits of the arm (Swevers et al. 1997).
 
 The condition number of the scaled observation matrix is made small by random search over the coefficients, followed by
-changes of single coefficients that are kept where they help. Every candidate is scaled to reach the limits first, so
-whatever is found can be played.
+changes of single coefficients that are kept where they help. Every candidate is first scaled into the limits, so that
+the result can be executed.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from ideal_robot.robots.robot import Robot, spread_postures
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where the tool and the links may go, in the base frame.
+    """Permitted space of the tool and the links, in the base frame.
 
     Attributes:
         z_min: lowest height of the tool and of every joint above the first two [m].
         r_min: smallest distance of the tool from the base axis while it is lower than ``z_free`` [m].
         z_free: height above which the base column is no obstacle [m].
         beyond: extra length beyond the tool frame that must also keep clear [m].
-        cell: the arm's shapes and what they must not touch; itself and its base plane if None.
+        cell: the arm's shapes and their obstacles; the arm itself and its base plane if None.
     """
 
     z_min: float = 0.15
@@ -43,24 +43,24 @@ class Workspace:
     def of(cls, robot: Robot) -> Workspace:
         """The default workspace of an arm; in proportion to its reach where that is less than a metre.
 
-        The floor is never so high that the tool or a joint could not rise above it by half of the height it can reach,
-        or of what it can rise: a turntable has its tool on the floor, and that of a SCARA slides to below its base.
+        The floor is low enough for the tool and every joint to rise above it by half of their height or stroke, as the
+        tools of turntables and SCARA arms reach down to their base.
         """
         span, heights = _points(robot, spread_postures(robot.q_min, robot.q_max), 0.0)
         small = min(1.0, float(span.max()))
         lowest_point = int(np.argmin(heights.max(axis=0)))
         highest, lowest = float(heights[:, lowest_point].max()), float(heights[:, lowest_point].min())
-        # An axis that slides stands on no column that its tool could hit.
+        # A first prismatic axis has no base column that the tool could hit.
         column = 0.0 if robot.prismatic[0] else small * cls.r_min
         rises = max(abs(highest), highest - lowest)
         return cls(min(small * cls.z_min, highest - 0.5 * rises), column, small * cls.z_free)
 
     def on_the_way(self, robot: Robot) -> Workspace:
-        """What a drive from home must keep off: wider where home lies outside, with the shapes in ``cell``.
+        """The workspace for a motion from home: widened where home lies outside, with the shapes in ``cell``.
 
-        An arm that stands upright at home comes down beside its own column: its shapes say what it must not touch.
-        None of these where home itself touches something and nobody named a cell: the base plane of an arm that hangs
-        or stands high is no floor. Raises InputError where the arm stands in the cell that was named.
+        An arm that stands upright at home moves down beside its own column, so its shapes are checked. They are not
+        checked where home itself collides and no cell was given, as with a hanging arm. Raises InputError where home
+        collides with the given cell.
         """
         shapes = self.cell or Shapes(robot)
         touch = shapes.first_touch(robot.home[None])
@@ -74,7 +74,7 @@ class Workspace:
         return replace(wider, r_min=min(wider.r_min, beside), cell=shapes)
 
     def widened(self, robot: Robot, q: Array) -> Workspace:
-        """The workspace, wider where the arm has been already ``(N, n)`` [rad]: what was recorded touched nothing."""
+        """The workspace widened by recorded positions ``(N, n)`` [rad], at which the arm did not collide."""
         span, heights = _points(robot, q[:: max(1, len(q) // 400)], self.beyond)
         beside = span[heights[:, 0] < self.z_free]
         return replace(self, z_min=float(heights.min(initial=self.z_min)), r_min=float(beside.min(initial=self.r_min)))
@@ -92,7 +92,7 @@ def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> NDArray[
 
 
 def obstacle(robot: Robot, q: Array, workspace: Workspace) -> str | None:
-    """See ``clear_of_obstacles``. What the arm meets first, with the option that moves it; None for nothing."""
+    """Name of the first obstacle, with the option that moves it; None for none. See ``clear_of_obstacles``."""
     low, near = _met(robot, q, workspace)
     met = low | near
     if not met.any():
@@ -176,8 +176,8 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         refinements: changes that are tried of the best one.
 
     Raises:
-        InputError: too few harmonics, a period that is none, a joint with nothing to move, or no motion within the
-            limits was found.
+        InputError: too few harmonics, a period that is not positive, a joint that moves nothing, or no motion within
+            the limits was found.
     """
     _check_sums(harmonics, period)
     search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), *LIMIT_SHARES)
@@ -197,7 +197,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
             best = better(best, rng.uniform(-1, 1, (2, harmonics, robot.n)), centre)
         if best is not None:
             break
-        # Joints that turn far take the arm below the floor: smaller motions, at last where it stands already.
+        # Large motions take the arm below the floor: smaller ones are searched, finally around its posture.
         search.narrow(widened=workspace is None)
     if best is None:
         raise InputError(f"no motion within the limits was found: {search.in_the_way()}", field="workspace")
@@ -246,7 +246,7 @@ class MotionSpace:
             raise InputError(f"the limits of joint {j + 1} leave it nothing to move; give its true ones in the URDF",
                              field="limit", value=[float(robot.q_min[j]), float(robot.q_max[j])])
         half = 0.5 * travel * (q_max - q_min)
-        # Several turns of a wrist joint excite nothing that one does not.
+        # Several turns of a wrist joint add no excitation to one turn.
         self.half = np.minimum(half, np.pi)
         self.reach_low = np.maximum(q_min + 0.5 * (1 - travel) * (q_max - q_min), -1.2 * np.pi)
         self.reach_high = np.minimum(q_max - 0.5 * (1 - travel) * (q_max - q_min), 1.2 * np.pi)
@@ -280,7 +280,7 @@ class MotionSpace:
             room_high = np.maximum(self.reach_high - gain * extent, room_low)
             place = (rng.uniform(room_low, room_high) if centre is None
                      else np.clip(centre + gain * middle, room_low, room_high))
-            # ``centre`` is where the cosines and sines turn about; the extremes lie about it unevenly.
+            # ``centre`` is the mean of the cosines and sines; the extremes are not symmetric about it.
             candidate = FourierMotion(place - gain * middle, a * gain, b * gain, self.period, np.inf)
             q, qd, qdd = candidate.at(self.t)
             reason = obstacle(self.robot, q, self.workspace) or self._too_weak(q, qd, qdd)
@@ -290,20 +290,20 @@ class MotionSpace:
         return None
 
     def narrow(self, widened: bool) -> None:
-        """Looks for smaller motions from now on; where nobody said how far the arm may go, also where it stands."""
+        """Searches smaller motions from now on, and extends a default workspace to the arm's posture."""
         self._shrinks = _NARROW
         if widened:
             self.workspace = self.workspace.widened(self.robot, self.robot.home[None])
 
     def free(self, motion: FourierMotion) -> bool:
-        """Whether the arm touches neither itself, its base plane, nor what else stands in the cell."""
+        """Whether the arm collides neither with itself, its base plane, nor obstacles of the cell along a motion."""
         touch = self._shapes.first_touch(motion.at(self.t)[0])
         if touch is not None:
             self._refused[f"{touch} (the arm's shapes in the URDF)"] += 1
         return touch is None
 
     def in_the_way(self) -> str:
-        """What most motions were refused for, and which key helps."""
+        """The reason why most motions were rejected, and the option that helps."""
         return self._refused.most_common(1)[0][0] if self._refused else "the joints have nothing to move"
 
     def _too_weak(self, q: Array, qd: Array, qdd: Array) -> str | None:
@@ -326,12 +326,12 @@ def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: A
     friction[:, joints, joints] = qd
     friction[:, joints, n + joints] = np.sign(qd)
     W = np.concatenate([W, friction], axis=2)
-    # A newton metre weighs as much as the joint can give of it.
+    # Torques are weighted relative to the joint's limit.
     limited = np.isfinite(robot.tau_max)
     weight = robot.tau_max if limited.all() else np.where(limited, robot.tau_max, np.std(W, axis=(0, 2)) + 1e-9)
     flat = (W / weight[:, None]).reshape(len(q) * n, -1)
     flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
-    # The normal matrix has the squares of the singular values, exact enough up to conditions of a million.
+    # The normal matrix has the squared singular values, accurate up to condition numbers of a million.
     squares = np.linalg.eigvalsh(flat.T @ flat)
     return float(np.sqrt(squares[-1] / max(squares[0], 1e-24)))
 

@@ -1,7 +1,7 @@
-"""Which friction law, with which shape, describes each joint best: jointly with the rigid body.
+"""Chooses friction law and shape of each joint: jointly with the rigid body.
 
 For one joint at a time all other parameters are eliminated (variable projection), the shape parameters are found by a
-coarse search and a bounded optimiser, and the law is chosen by its error on held-back stretches of the recordings.
+coarse search and a bounded optimiser, and the law is chosen by its error on held-out intervals of the recordings.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Candidate:
 
     @cached_property
     def braking(self) -> np.ndarray:
-        """Mask of the coefficients that may not be negative: they would drive the joint instead of braking it."""
+        """Mask of the coefficients that must not be negative, as they would drive the joint instead of braking it."""
         return self.make([1.0] * len(self.bounds)).nonnegative
 
     def make(self, shape: Sequence[float], coefficients: Array | None = None) -> FrictionModel:
@@ -65,14 +65,14 @@ class Candidate:
 
 
 def brakes(law: FrictionModel, fastest: float) -> bool:
-    """Whether a one-joint law takes energy away at all speeds up to a little more than the fastest that was seen."""
+    """Whether a one-joint law dissipates energy at all speeds up to a little above ``fastest``."""
     speed = np.linspace(0.02, 1.2, 60) * fastest
     speed = np.concatenate([-speed, speed])[:, None]
     return bool(np.all(law.torque(speed) * speed >= 0.0))
 
 
 def candidates(laws: Sequence[type[FrictionModel]], refine: bool) -> list[Candidate]:
-    """The laws, with every combination of refinements if these may be used; simplest first."""
+    """The laws with every combination of refinements, if permitted; the simplest first."""
     options = [(False, False), (True, False), (False, True), (True, True)] if refine else [(False, False)]
     return sorted((Candidate(law, p, load) for law in laws for p, load in options), key=lambda c: c.size)
 
@@ -84,11 +84,11 @@ class FrictionChoice:
         signals: one per recording.
         rigid: decimated regressor of everything but friction ``(M, n, b)``, recordings one after another.
         y: decimated torque ``(M, n)``.
-        load: torque the gears transmit, per recording ``(N, n)``; what loaded laws look at.
+        load: torque the gears transmit, per recording ``(N, n)``; input of laws with load dependence.
         noise: noise level per joint ``(n,)`` for the weights.
-        information: what is known of the rigid parameters beforehand, as an inverse covariance ``(b, b)``; ``y`` is
-            what is left when the values it belongs to are subtracted.
-        barred: joints, counted from 0, whose load is not known well enough for friction to follow it.
+        information: prior of the rigid parameters, as an inverse covariance ``(b, b)``; the prior means are subtracted
+            from ``y``.
+        barred: joints, counted from 0, whose load is too uncertain for load-dependent friction.
     """
 
     def __init__(self, signals: Sequence[FilteredSignals], rigid: Array, y: Array, load: Sequence[Array],
@@ -145,10 +145,9 @@ class FrictionChoice:
         return np.column_stack(result)
 
     def pulled(self, springs: Array) -> np.ndarray:
-        """Mask ``(n,)`` of joints that a spring pulls: with one, what is held out is predicted clearly better.
+        """Mask ``(n,)`` of joints with a spring: with one, the held-out prediction is clearly better.
 
-        A hose or cable along the arm is one. Where it is not looked for, friction that is another one forward and
-        backward comes nearest to it.
+        A hose or cable along the arm is one. Without it, direction-dependent friction would be fitted instead.
 
         Args:
             springs: decimated torques of a spring of 1 N m/rad on each joint ``(M, n)`` [N m].
@@ -165,9 +164,9 @@ class FrictionChoice:
         return mask
 
     def choose(self, options: Sequence[Candidate]) -> tuple[list[FrictionModel], list[dict[str, float]]]:
-        """The best of the options for each joint, with their shape (coefficients still ones).
+        """The best option for each joint with its shape (coefficients still ones), and the held-out errors of all.
 
-        And per joint the held-out error of every option tried, as standard deviation in units of the noise.
+        The errors are standard deviations per joint and option, in units of the noise.
         """
         n = self._y.shape[1]
         chosen = [(options[0], self._start(options[0])) for _ in range(n)]
@@ -177,7 +176,7 @@ class FrictionChoice:
             known: dict[str, float] = {}
             best: tuple[float, Candidate] | None = None
             rigid = np.inf
-            # A second look at a joint, now that the others fit better, needs to consider the leaders only.
+            # The second pass over a joint, with the others fitted better, only compares the best candidates.
             for option in options if sweep == 0 else _leaders(options, scores[j]):
                 if option.loaded and not self._load_varies[j]:
                     continue
@@ -193,7 +192,7 @@ class FrictionChoice:
                     rigid = min(rigid, score)
                 if best is None or score < best[0] * (1.0 - _WORTH * (option.size > best[1].size)):
                     best = (score, option)
-            # In short recordings none of the leaders may brake any more; the simplest law, of braking terms, does.
+            # In short recordings none of the leaders may brake; the simplest law, with braking terms only, does.
             law = options[0] if best is None else best[1]
             chosen[j] = law, self._shape(projection, j, law, known, polish=True)
         return [option.make(shape) for option, shape in chosen], scores
@@ -211,7 +210,7 @@ class FrictionChoice:
         if not option.bounds:
             return ()
         low, high = np.log10(np.array(option.bounds)).T
-        # The presliding distance is much the same whatever the law; the law's own shape is another once there is one.
+        # The presliding distance hardly depends on the law; the law's own shape does once there is presliding.
         names = [name if name == "presliding" else f"{option.law.key} {name} {option.presliding}"
                  for name, _ in option.make(self._start(option)).names_of_shape]
 
@@ -273,16 +272,16 @@ def _leaders(options: Sequence[Candidate], scores: dict[str, float]) -> list[Can
 
 
 def with_coefficients(laws: Sequence[FrictionModel], coefficients: Array) -> PerJointFriction:
-    """The chosen laws with their fitted coefficients, which come joint after joint in one vector."""
+    """The chosen laws with their fitted coefficients, which are stacked joint after joint in one vector."""
     parts = np.split(coefficients, np.cumsum([len(law.coefficients) for law in laws]))
     return PerJointFriction([law.altered(part[:, None]) for law, part in zip(laws, parts, strict=False)])
 
 
-# Friction that falls while a gear warms up, [G] Figs 3 and 12: a law scaled by ``1 + α (T_ref - T) / 10 K``.
+# Friction that falls while a gear warms up, [G] Figs 3 and 12: a law multiplied by ``1 + α (T_ref - T) / 10 K``.
 
 @dataclass(frozen=True)
 class WarmUp:
-    """How the friction of one joint changes with gear temperature.
+    """Change of one joint's friction with gear temperature.
 
     Attributes:
         law: friction of the joint at ``reference``.

@@ -1,4 +1,4 @@
-"""Friction from motions at constant velocity, gravity removed by the mean of both directions, [G] 3.1.1."""
+"""Friction from motions at constant velocity; gravity cancels in the mean of both directions, [G] 3.1.1."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
 
 
 def choose_law(qd: Array, tau: Array, laws: Sequence[type[FrictionModel]] = (CubeRoot, Arctan)) -> FrictionFit:
-    """See ``fit_law``. The law of least mean square error on held-back speeds; [G] chooses between (2) and (3)."""
+    """The law with the least mean square error on held-out speeds; [G] chooses between (2) and (3). See ``fit_law``."""
     return min((fit_law(law, qd, tau) for law in laws), key=lambda fit: fit.held_out_rms)
 
 
@@ -97,11 +97,11 @@ def _held_out(law: type[FrictionModel], qd: Array, tau: Array) -> float:
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("inf")
 
 
-# Fit of one joint's friction together with everything else, of which only what concerns that joint is kept.
+# Fits one joint's friction together with all other parameters, which are eliminated.
 #
 # Candidates for a joint's friction change few columns in the rows of that joint alone. All other parameters are
-# eliminated once by Cholesky's decomposition, those that the joint's rows do not hold first; of the normal equations of
-# a candidate then only its own few are left (Schur complement).
+# eliminated once by Cholesky's decomposition, those without columns in the joint's rows first; a candidate's normal
+# equations then have only its own few columns (Schur complement).
 
 _RIDGE = 1e-9
 """Of a normal matrix's diagonal: what no row moves stays zero instead of singular."""
@@ -109,7 +109,7 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True)
 class FoldEquations:
-    """Normal equations of one stretch of time, weighted, without the friction of the joint that is looked at.
+    """Weighted normal equations of one interval of time, without the friction of the fitted joint.
 
     Attributes:
         gram: ``WᵀW`` ``(P, P)``.
@@ -178,12 +178,12 @@ class _Eliminated:
 
 
 class FrictionProjection:
-    """Everything but one joint's friction, as normal equations fold by fold, and that joint's own rows.
+    """Normal equations, by folds, of everything but one joint's friction, and that joint's own rows.
 
     Args:
         folds: normal equations of each stretch; in the parameters' order of ``own``.
         rows: of each stretch.
-        known: what is known of the parameters beforehand, as an inverse covariance ``(P, P)``.
+        known: prior of the parameters, as an inverse covariance ``(P, P)``.
         own: the joint's rows of the rigid parameters, which are the first of all ``(M, b)``.
         y: the joint's torque ``(M,)``.
     """
@@ -221,12 +221,12 @@ class FrictionProjection:
         return self._all.solved(self._moments(F, slice(None)), bounded)[2]
 
     def coefficients(self, F: Array, bounded: np.ndarray) -> Array:
-        """Those of this joint's law ``(m,)`` in the full fit."""
+        """Coefficients of this joint's law ``(m,)`` in the full fit."""
         F, size = _scaled(F)
         return self._all.solved(self._moments(F, slice(None)), bounded)[0] / size
 
     def held_out(self, F: Array, bounded: np.ndarray) -> float:
-        """Standard deviation of the joint's residual on folds that the fit has not seen."""
+        """Standard deviation of the joint's residual on held-out folds."""
         F, _ = _scaled(F)
         every, total = self._moments(F, slice(None)), 0.0
         for rows, eliminated in zip(self._rows, self._without, strict=True):
@@ -245,11 +245,11 @@ def _scaled(F: Array) -> tuple[Array, Array]:
 # Torque ripple of the motors, from the slow parts of a recording.
 #
 # Cogging and gear meshing repeat a whole number of times per motor turn, so with known gear ratios only amplitude and
-# phase of a few orders are asked for, and those are linear:
+# phase of a few orders are unknown, which is linear:
 #
-#     τ - τ_model = Σ_o a_o cos(o i q) + b_o sin(o i q) + what friction is wrong by ,   i gear ratio, o = 1, 2, …
+# τ - τ_model = Σ_o a_o cos(o i q) + b_o sin(o i q) + error of friction ,   i gear ratio, o = 1, 2, …
 #
-# Only slow motion counts: there the controller answers the ripple completely, and what the current shows is the ripple.
+# Only slow motion is used: there the controller compensates the ripple completely, so that the current shows it.
 
 _ORDERS = tuple(range(1, 9))
 """Periods in a turn of the motor that are looked for."""
@@ -264,12 +264,13 @@ _SIGNIFICANT = 8.0
 
 
 def fit_ripple(recordings: Sequence[Recording], model: Model, robot: Robot) -> tuple[FittedEffect, ...]:
-    """Ripple of every joint that shows one, strongest order first, as effects ``torque_ripple`` of the model.
+    """Ripple of every joint that has one, the strongest order first, as effects ``torque_ripple``.
 
     Raises InputError where the model is of another arm.
 
     Args:
-        recordings, model: with ``q_i`` and ``tau_i`` every few milliseconds, slow motion in them; what it is behind.
+        recordings, model: with ``q_i`` and ``tau_i`` every few milliseconds, including slow motion; the model of the
+            other torques.
         robot: gear ratios; joints with ratio 1 (unknown) are passed over.
     """
     model.require_arm(robot)
@@ -307,7 +308,7 @@ def _ripples(parts: Sequence[tuple[Array, Array, Array]], i: int, order: int, ra
     if rank < H.shape[1]:
         return None
     rest = y - H @ x
-    # Filtered samples are not independent: as many as the band has room for count.
+    # Filtered samples are not independent: their number is that of the band.
     independent = max(len(y) * 0.1, 10.0)
     std = np.sqrt(np.diag(np.linalg.inv(H.T @ H / len(y))) * float(rest @ rest) / len(y) / independent)
     size, sigma = float(np.hypot(x[0], x[1])), float(np.hypot(std[0], std[1]))

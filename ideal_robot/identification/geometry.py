@@ -1,4 +1,4 @@
-"""Geometry of an arm from measured poses: where its joints are, against its drawings."""
+"""Estimates the places of an arm's joints from measured tool poses, relative to its drawings."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ _PASSES = 3
 
 
 def has_geometry(recording: Recording) -> bool:
-    """Whether a recording holds the tool's pose beside the arm's angles: gears give more than axes are off."""
+    """Whether a recording has tool poses together with arm angles, as gear deflection exceeds geometric errors."""
     return recording.has("qa") and all(name in recording.columns for name in POSE)
 
 
 def measured_geometry(recordings: Sequence[Recording], robot: Robot, usual: tuple[float, float]) -> Array:
-    """Shifts [m] and turns [rad] of the joints' places, in their parents' frames ``(n, 6)``.
+    """Shifts [m] and rotations [rad] of the joints' places, in their parents' frames ``(n, 6)``.
 
         Δx = R_p (d + w × r),  Δφ = R_p w     r: from the joint to the tool, R_p: of the joint's parent
 
-    Least squares of first order, as kinematic calibration is done. What no pose distinguishes, as parallel axes or a
-    joint and its tool, is shared as is usual. The device stands anywhere, so where the first joint is remains open.
+    Least squares of first order, as kinematic calibration is done. Errors that no pose distinguishes, as of parallel
+    axes or of a joint and its tool, are divided by their prior ``usual``. The device's place is unknown, so the first
+    joint's place is not determined.
 
     Args:
         recordings, robot: with arm angles and poses, see ``has_geometry``; the arm as its data sheet has it.

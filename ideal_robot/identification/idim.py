@@ -1,7 +1,7 @@
 """Conventional identification: inverse dynamic model and weighted least squares over whole motions ([J] 3).
 
 Friction, rigid body, rotor inertias and offsets are found together. Nominal inertias of the URDF are used only where
-the data say nothing.
+the data have no information.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bo
         W = full_regressor(robot.pinocchio, q, qd, qdd, [*base.independent, *beyond])
         joints = np.arange(n)
         W[:, joints, base.count + joints] = qd
-        # Its jumps have all frequencies, unlike the rest.
+        # The jumps of this column have all frequencies, unlike the others, so it is filtered separately.
         slow = _TURNS * np.maximum(np.max(np.abs(s.qd), axis=0), 1e-9)
         W[:, joints, base.count + n + joints] = decimated(np.tanh((s.qd / slow).astype(np.float32)), stride)
         return W
@@ -72,7 +72,7 @@ def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bo
 
 @dataclass(frozen=True, repr=False)
 class Identification(Summarised):
-    """What identification returns.
+    """The result of an identification.
 
     Attributes:
         model: the identified model.
@@ -83,7 +83,7 @@ class Identification(Summarised):
         consistency: how far the physically possible parameters are from the identified ones.
         warnings: named warnings, each ``name: sentence``.
         recordings, unseen: the estimation and validation recordings as they were used, torque in N m.
-        contradictions: what the recordings are by comparison with the URDF and do not claim to be.
+        contradictions: contradictions of the recordings to the URDF.
     """
 
     model: Model
@@ -98,7 +98,7 @@ class Identification(Summarised):
     contradictions: tuple[Finding, ...] = ()
 
     def summary(self) -> list[tuple[str, str]]:
-        """How well the model explains what was measured."""
+        """Fit of the model to the measurements as rows of label and value."""
         errors = [(title, listed(joined(predictions).relative_error_percent, "%")) for title, predictions in
                   (("error of the torque", self.estimation), ("on what was not used", self.validation)) if predictions]
         return [("model", f"{self.model.arm.name!r}: {len(self.recordings)} recordings"), *errors,
@@ -114,8 +114,8 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
         recordings: with ``t``, ``q_i`` and ``tau_i`` or ``current_i``.
         robot: kinematics, nominal inertias, limits, drive gains.
         validation: recordings the model is compared with and never fitted to.
-        friction: key of a friction law for all joints, taken as it is; ``auto`` chooses law and refinements per joint
-            by the error on held-back stretches of the estimation recordings.
+        friction: key of a friction law for all joints; ``auto`` chooses law and refinements per joint by the error on
+            held-out intervals of the estimation recordings.
         cutoff: of the position filter [Hz]; chosen from the data if None.
         cutoff_decimation: of the decimation filter [Hz]; chosen from the data if None.
 
@@ -163,7 +163,7 @@ def _model_of(fit: JointFit, robot: Robot, base: BaseParameters, recordings: Seq
               filters: dict[str, Any], budgets: Sequence[ErrorBudget]) -> Model:
     """The model of a fit, with where it comes from."""
     solution = fit.solution
-    # Of a joint without a torque nothing is known: all of what is logged there is noise to the model.
+    # For a joint without a torque nothing is identified: the whole logged signal is noise.
     logged = np.std(np.concatenate([r.joints("tau") for r in recordings]), axis=0)
     noise = np.where(fit.counted > 0.0, solution.noise_std, logged)
     return Model(
@@ -195,7 +195,7 @@ def with_errors(model: Model, estimation: Sequence[Prediction], held_out: Sequen
 
 
 def without_dead_channels(recording: Recording) -> tuple[Recording, tuple[ChannelFinding, ...]]:
-    """The recording with NaN for torques that do not measure their joint, and what was found about all channels."""
+    """The recording with NaN for torques that do not measure their joint, and the findings about all channels."""
     findings = channel_findings(recording)
     dead = {f"tau_{j + 1}": np.full(len(recording.t), np.nan) for j in dead_joints(findings)}
     return (replace(recording, columns={**recording.columns, **dead}) if dead else recording), findings

@@ -1,4 +1,4 @@
-"""What a recording holds before anything is identified: what was read as what, rates, ranges, and what does not fit."""
+"""Inspects a recording before any identification: columns, rates, ranges, and contradictions to the URDF."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHOWN = 4000
 
 @dataclass(frozen=True)
 class Range:
-    """What one column of a joint holds beside what the URDF allows.
+    """Values of one joint's column against the URDF's limits.
 
     Attributes:
         column: e.g. ``q_3``.
@@ -46,13 +46,13 @@ class Range:
 
 @dataclass(frozen=True, repr=False)
 class Inspection(Summarised):
-    """A recording and what was found about it.
+    """A recording with the findings about it.
 
     Attributes:
         recording: as it can be used, or as it was read where it cannot.
-        acts: what was read as what, left out or repaired, in order, ``name: sentence``.
-        channels: what is to be said about single channels.
-        contradictions: what the recording is by comparison with the URDF and does not claim to be.
+        acts: interpretations, omissions and repairs, in order, ``name: sentence``.
+        channels: findings about single channels.
+        contradictions: contradictions of the recording to the URDF.
         ranges: of positions, speeds and torques.
         rate, longest, gaps: samples a second, the longest step [s] and how many steps are longer than five usual ones.
         unused: columns that mean nothing to the program.
@@ -72,11 +72,11 @@ class Inspection(Summarised):
 
     @property
     def usable(self) -> bool:
-        """Whether an identification may be built on it."""
+        """Whether the recording can be used for an identification."""
         return not self.refused and not self.contradictions
 
     def summary(self) -> list[tuple[str, str]]:
-        """What it is, and what does not fit."""
+        """Content and contradictions as rows of label and value."""
         r = self.recording
         size = f"{r.n} joints, {len(r.t)} samples, {r.duration:.4g} s, {self.rate:.4g} Hz"
         return [("recording", f"{r.source!r}: {size}"),
@@ -111,7 +111,7 @@ class Inspection(Summarised):
 
 
 def inspect(recording: Recording, robot: Robot) -> Inspection:
-    """What a recording holds, what was done to it, and what does not fit the robot.
+    """Inspects a recording: its content, its repairs, and contradictions to the robot.
 
     Args:
         recording: as it was read.
@@ -154,7 +154,7 @@ def _clock(t: Array) -> tuple[float, float, int]:
 def _ranges(recording: Recording, robot: Robot, amperes: bool) -> tuple[Range, ...]:
     """Ranges of positions, speeds and torques beside the URDF's limits."""
     q, tau, t = recording.joints("q"), recording.joints("tau"), recording.t
-    # Over ten samples, so that encoder steps are no speed.
+    # Speed over ten samples, so that encoder steps do not appear as speed.
     over = min(10, len(t) - 1)
     speed = (q[over:] - q[:-over]) / (t[over:] - t[:-over])[:, None]
     rows = []

@@ -32,10 +32,10 @@ from ideal_robot.signals.sampling import resampled
 
 
 def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:
-    """Rows of each of eight regions of a motion ``(M, n)``, with as many samples in each.
+    """Row indices of eight regions of a motion ``(M, n)``, equal in size.
 
-    Every region is halved at the median of the angle or velocity that varies most in it, over what that varies by in
-    all of the motion. What a motion repeats is in one region, however often it is repeated.
+    Every region is halved at the median of the angle or velocity that varies most in it, relative to its variation in
+    the whole motion. Repeated parts of a motion are in the same region.
     """
     state = np.hstack([q, qd])
     state = state / np.maximum(np.std(state, axis=0), 1e-12)
@@ -67,7 +67,7 @@ class JointFit:
         friction: the laws with their coefficients.
         consistency: physically possible parameters.
         scores: per joint, held-out residual of each friction law tried.
-        counted: per joint, what the samples weighed in the end, as a share of all samples ``(n,)``.
+        counted: per joint, final sum of the samples' weights, as a share of all samples ``(n,)``.
         springs: effects of hoses and cables that pull a joint.
     """
 
@@ -80,12 +80,12 @@ class JointFit:
 
 
 class JointProblem:
-    """Decimated data of all recordings.
+    """The least-squares problem of all recordings' decimated data.
 
     Args:
         robot: kinematics.
         base: grouping of its parameters.
-        prior: what is known of them.
+        prior: prior of the parameters.
         signals, budgets: one per recording; a dead channel's torque is NaN.
     """
 
@@ -108,7 +108,7 @@ class JointProblem:
         """Fits with a friction law for all joints, or with ``auto`` the best one for each."""
         rough = self._rough()
         values = rough.value[: self._base.count]
-        # Only a choice among laws asks for the load: a law that is given does not follow it.
+        # The load is only needed for a choice among laws: a given law does not depend on it.
         load = ([np.zeros_like(s.q) for s in self._signals] if wanted != "auto"
                 else self._load(self._base.nearest_full(values, self._prior.nominal)))
         variance = self._variance(rough)
@@ -190,7 +190,7 @@ class JointProblem:
         rigid = self._W.copy()
         for j, law in enumerate(laws):
             if law.holds_offset:
-                # An offset is the difference of the two dry frictions; the law has it, so it is no parameter itself.
+                # The law contains the difference of the two dry frictions, so the offset is no parameter itself.
                 rigid[:, :, self._base.names.index(f"offset_{j + 1}")] = 0.0
         W = np.concatenate([rigid, self._columns(coefficient_columns, laws, load), self._springs], axis=2)
         places = np.arange(W.shape[2] - len(self._pulled), W.shape[2])
@@ -201,7 +201,7 @@ class JointProblem:
         whole = self._with_shape(solution, W, with_coefficients(laws, solution.value[coefficients]), load)
         rotors, values, covariance = rotors_of(whole, self._base, self._prior)
         if len(rotors):
-            # All else is fitted anew beside them.
+            # All other parameters are fitted again.
             value = self._beside(W, nonnegative, variance, rotors, values)
             whole = replace(whole, value=np.concatenate([value, whole.value[W.shape[2] :]]), covariance=covariance,
                             residual=self._y - W @ value)
@@ -209,7 +209,7 @@ class JointProblem:
         fastest = np.max(np.abs(self._velocity), axis=0)
         wrong = [j for j, law in enumerate(friction.laws) if not brakes(law, fastest[j])]
         if wrong:
-            # Only the sum of a degressive law's terms has to brake: bounds of single coefficients cannot ensure it.
+            # Only the sum of a degressive law's terms has to brake, which bounds of single coefficients cannot ensure.
             plain = candidates([law_of("viscous_coulomb")], refine=False)[0].make(())
             return self._final([plain if j in wrong else law for j, law in enumerate(laws)], load, variance)
         springs = tuple(self._spring(int(j), float(whole.value[k]), float(np.sqrt(whole.covariance[k, k])))
@@ -247,7 +247,7 @@ class JointProblem:
         joined = np.concatenate([W * ~solution.at_bound, bends, late], axis=2)
         information = self._prior.padded(joined.shape[2])
         information[-1, -1] = 1.0 / _LAG**2
-        # At the optimum the linearised problem has the residual for its measurement and none but the lag for its step.
+        # At the optimum the linearised problem has the residual as its measurement and a zero step.
         linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), information,
                                         segments=self._segments, regions=self._regions)
         bent = linear.value[:-1]
@@ -279,7 +279,7 @@ class JointProblem:
         n, b = self._robot.n, self._base.count
         friction = np.abs(rough.value[b:].reshape(n, 2))
         sigma = np.maximum(np.mean(self._sigma_v, axis=0), 1e-12)
-        # 4 p (1 - p) to a few per cent, p the probability of the wrong sign; decimated as the samples are.
+        # Approximates 4 p (1 - p), p the probability of the wrong sign; decimated like the samples.
         undecided = np.clip(np.concatenate([s.decimate(np.exp(-0.5 * np.minimum(np.abs(s.qd) / sigma, 30.0) ** 2))
                                             for s in self._signals]), 0.0, 1.0)
         return np.asarray((np.abs(self._inertia(rough)) * self._sigma_a) ** 2 + (friction[:, 0] * self._sigma_v) ** 2
@@ -313,15 +313,16 @@ _PASSED = 20.0
 def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> Gears:
     """Stiffness and damping of each joint, ``k (q_m - q) + d (q̇_m - q̇) = load``, by least squares.
 
-    The load is the torque of the links; the rotor's share never passes the gear. An offset between the two angles is
-    estimated along with each recording of ``q_i`` and ``qa_i``. Raises InputError where one has no arm angles.
+    The load is the torque of the links, without the rotor's, which does not pass the gear. An offset between the two
+    angles is estimated along with each recording of ``q_i`` and ``qa_i``. Raises InputError where one has no arm
+    angles.
 
     Returns:
         Both are at least zero. A gear that does not give way with its load is rigid, without damping; of one that
         carries no load nothing is known (NaN).
     """
     # Accelerations of a coarse encoder need the filter that the identification chose: noise in the load would make
-    # gears look stiff. Damping shows near the gears' resonance, which must pass.
+    # gears appear stiff. Damping is determined near the gears' resonance, which must be in the band.
     cutoff = max(_PASSED, model.provenance.get("filters", {}).get("cutoff", 0.0))
     twists, rates, loads = [], [], []
     for recording in recordings:

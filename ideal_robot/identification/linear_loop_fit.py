@@ -41,8 +41,8 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     """Identifies each joint's impulse response, ``q(k) = Σ g(l) q_d(k - l)`` with ``l = m_d … m``, [G] (7).
 
     The relative degree ``m_d`` is found from the data. Sinusoids excite few frequencies, and friction leaves residuals
-    that no linear response explains: plain least squares fits wild coefficients to them. So the least squares are
-    extended by what is known beforehand: the response is smooth, dies out and has static gain one.
+    that no linear response explains: plain least squares fits wild coefficients to them. So the least squares have a
+    prior: the response is smooth, decays and has static gain one.
 
     Recordings have ``q_c_i`` (or ``q_d_i``) and ``q_i`` and start at rest; ``t_cycle`` [s] is the interpolation cycle.
     Raises InputError for missing commands, unsuitable sampling, too short recordings, a joint that does not move.

@@ -1,4 +1,4 @@
-"""Which recordings say something of a joint's closed loop: commands and positions, in the cycle of the controller."""
+"""Checks which recordings show a joint's closed loop: commands and positions, in the cycle of the controller."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def commanded(recording: Recording) -> str:
 
 
 def require_loop(recordings: Sequence[Recording]) -> None:
-    """Refuses recordings with ``q_i`` and ``q_c_i`` (or ``q_d_i``) that say nothing of a joint's loop.
+    """Raises InputError for recordings with ``q_i`` and ``q_c_i`` (or ``q_d_i``) that do not show a joint's loop.
 
-    Raises InputError where a command is missing, never changes in any recording, or is the measured position.
+    The reasons are a command that is missing, never changes in any recording, or is the measured position.
     """
     pairs = [(r.joints(commanded(r)), r.joints("q")) for r in recordings]
     require_changes([q_c for q_c, _ in pairs], commanded(recordings[0]), recordings[0].source)
@@ -44,7 +44,7 @@ def require_changes(values: Sequence[Array], name: str, source: str) -> None:
 
 
 def in_cycle(recording: Recording, t_cycle: float) -> tuple[float, int]:
-    """Sampling step [s], and how many of them a cycle of ``t_cycle`` [s] has; raises InputError for no whole number."""
+    """Sampling step [s], and its number per cycle of ``t_cycle`` [s]; raises InputError if that is not whole."""
     step = float(np.median(np.diff(recording.t)))
     every = round(t_cycle / step)
     if every < 1 or abs(every * step - t_cycle) > 0.02 * t_cycle:

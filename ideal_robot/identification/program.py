@@ -48,7 +48,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Program:
-    """Operating points ``(K, n)`` [rad] and the moves about them, in order."""
+    """The motion program: operating points ``(K, n)`` [rad] and the moves about them, in order."""
 
     points: Array
     moves: tuple[Move, ...]
@@ -58,7 +58,7 @@ class Program:
         return {"operating_points_rad": self.points.tolist(), "moves": [vars(move) for move in self.moves]}
 
     def text(self) -> str:
-        """The program for people: one line a move, in degrees."""
+        """The program for people: one line per move, in degrees."""
         lines, last = [], -1
         for move in self.moves:
             if move.point != last:
@@ -75,7 +75,7 @@ class Program:
 
         Args:
             start, t_ipo: where the arm rests before ``(n,)`` [rad], and the interpolation cycle [s].
-            robot: whose limits count.
+            robot: the arm with its limits.
         """
         v_max, a_max = finite_limits(robot)
         position, parts = np.asarray(start, dtype=float), []
@@ -122,7 +122,7 @@ def finite_limits(robot: Robot) -> tuple[Array, Array]:
 
 
 def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> None:
-    """Raises InputError for commands that leave a limit of the arm, and names limit and joint, or the workspace.
+    """Raises InputError, with limit and joint, for commands that leave a limit of the arm or the workspace.
 
     Args:
         robot, q_c: the arm, and commands every interpolation cycle ``(N, n)`` [rad].
@@ -174,7 +174,7 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     chosen = _telling(robot, postures, points, room, amplitude)
     first = postures[chosen[0]]
     speeds = np.array(FRICTION_SPEEDS)[:, None] * v_max
-    # Long enough for half a second at constant speed, as far as the posture allows.
+    # Long enough for half a second at constant speed, if the posture permits.
     reach = np.minimum(0.25 * speeds + 0.5 * speeds**2 / (0.5 * a_max), 4.0 * amplitude)
     reach = np.maximum(reach, np.minimum(0.02, np.minimum(first - robot.q_min, robot.q_max - first)))
     reach = np.minimum(reach, _farthest(robot, first, reach.max(axis=0), room))

@@ -53,7 +53,7 @@ class Measurement:
 
 
 def constant_stretches(s: FilteredSignals, joint: int, start: int, stop: int) -> list[tuple[int, int]]:
-    """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off.
+    """Index ranges within ``start … stop`` of motion at constant velocity, without their ends.
 
     Args:
         s, joint: filtered signals of a recording, and from 0.
@@ -77,14 +77,17 @@ def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.nd
     Args:
         s, index: filtered signals of a recording, and the ``k`` samples.
         robot, base: the arm, and base parameters of the rigid body.
-        with_acceleration: otherwise it counts as zero.
+        with_acceleration: otherwise it is set to zero.
     """
     qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
     return full_regressor(robot.pinocchio, s.q[index], s.qd[index], qdd, base.independent)
 
 
 def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:
-    """See ``inertia_measurements``. Mean of forward and backward torques, of each two stretches of the same speed."""
+    """Gravity torques from the mean of forward and backward torques at the same speed.
+
+    See ``inertia_measurements``.
+    """
     measurements = []
     for j in range(robot.n):
         for start, stop in alone(s, j):
@@ -110,13 +113,13 @@ def _both_directions(s: FilteredSignals, robot: Robot, base: BaseParameters, joi
         rows.append(rows_of(s, robot, base, index, with_acceleration=False)[:, joint].mean(axis=0))
         tau = s.tau[a:b, joint]
         values.append(float(np.mean(tau)))
-        # Neighbouring samples of a torque with ripple are not news; blocks of 50 ms are.
+        # Neighbouring samples of a torque with ripple are correlated; blocks of 50 ms are independent.
         block = max(1, round(0.05 / s.dt))
         means = [np.mean(tau[i: i + block]) for i in range(0, max(1, len(tau) - block + 1), block)]
         errors.append(np.std(means) / np.sqrt(len(means)) if len(means) > 1 else np.std(tau))
         postures.append(s.q[a:b].mean(axis=0))
     std = 0.5 * float(np.hypot(errors[0], errors[1]))
-    # Friction of both directions is never quite alike: it sets the floor.
+    # Friction differs slightly between the directions, which gives a lower bound.
     std = float(np.hypot(std, 0.005 * abs(values[0] - values[1])))
     return Measurement(joint, "gravity", np.mean(postures, axis=0), np.mean(rows, axis=0), float(np.mean(values)),
                        max(std, 1e-9))
@@ -165,7 +168,7 @@ _DISTANCES = np.geomspace(2e-5, 5e-3, 12)
 
 @dataclass(frozen=True)
 class TwoStep:
-    """What the steps saw: measurements, and seconds of motion."""
+    """Measurements of the two steps, and their seconds of motion."""
 
     measurements: tuple[Measurement, ...]
     duration: float
@@ -180,7 +183,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
             motion itself.
         robot: kinematics, nominal inertias, limits, drive gains.
         validation: recordings the model is compared with and never fitted to.
-        friction: key of a law, or ``auto``: (2) or (3), whichever is better at held-back speeds.
+        friction: key of a law, or ``auto``: (2) or (3), whichever is better at held-out speeds.
 
     Raises:
         InputError: recordings that cannot be used, or in which no joint moves alone at constant velocity.
@@ -249,7 +252,7 @@ def _joined(covariance: Array, fits: Sequence[FrictionFit], laws: Sequence[Frict
         m, s = len(law.coefficients), len(law.shape)
         rows = [*range(column, column + m), *range(shape_column, shape_column + s - 1)]
         joined[np.ix_(rows, rows)] = fit.covariance
-        # The presliding distance comes last, off a grid whose steps are wider than what it is known to.
+        # The presliding distance, last in the shape, is from a grid with steps wider than its uncertainty.
         joined[shape_column + s - 1, shape_column + s - 1] = (0.5 * law.shape[-1, 0]) ** 2
         column, shape_column = column + m, shape_column + s
     return joined
@@ -283,7 +286,7 @@ def _weighted(measurements: Sequence[Measurement], start: Array, prior: Array,
         covariance = np.linalg.inv(W.T @ W + known)
         step = covariance @ (W.T @ z)
         residual = z - W @ step
-        # Parameters that the measurements, not the prior, decide use up degrees of freedom.
+        # Parameters determined by the measurements, not by the prior, use up degrees of freedom.
         used = float(np.trace(covariance @ W.T @ W))
         for kind in np.unique(kinds):
             mask = kinds == kind

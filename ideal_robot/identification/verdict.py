@@ -1,4 +1,4 @@
-"""What an identified model is worth, joint by joint: what it leaves of the torque, what its parameters leave open."""
+"""Quality of an identified model joint by joint: its torque residual, and the uncertainty of its parameters."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _TELLS = {
 
 @dataclass(frozen=True)
 class JointVerdict:
-    """What the model of a joint is worth.
+    """Quality of the model of one joint.
 
     Attributes:
         joint: from 1.
         verdict: ``usable``, ``weak`` or ``unusable``.
         left_percent: residual over torque, standard deviations, the larger one of estimation and validation [%].
-        uncertain_percent: what the parameters' covariance makes uncertain of the torque, over postures of the whole
-            range at the recorded speeds and accelerations, over the torque there [%].
+        uncertain_percent: standard deviation of the torque by the parameters' covariance, over postures of the whole
+            range at the recorded speeds and accelerations, relative to the torque there [%].
         reason: why it is not usable; empty where it is.
-        would_tell: the motion that would tell more; empty where none would, or none is needed.
+        would_tell: a motion that would determine more; empty where none would, or none is needed.
     """
 
     joint: int
@@ -62,7 +62,7 @@ def told(parameter: Parameter) -> bool:
 
 
 def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[JointVerdict, ...]:
-    """A verdict for each joint.
+    """The quality of the model for each joint.
 
     Args:
         model, result: as identified, and the identification behind it.
@@ -71,11 +71,11 @@ def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[
     q = np.concatenate([recording.joints("q") for recording in result.recordings])
     moved = np.ptp(q, axis=0) >= STILL
     counted = np.asarray(model.provenance.get("samples_counted_percent", np.full(model.n, 100.0)))
-    # Of a torque that never changes nothing is known.
+    # A torque that never changes cannot be judged.
     residual = [np.nan_to_num(joined(predictions).residual_std_percent, nan=np.inf, posinf=np.inf)
                 for predictions in (result.estimation, result.validation) if predictions]
     open_ = _uncertain(model, result, robot)
-    # Joints share bodies: what one torque has wrong the parameters of all have.
+    # Joints share bodies, so an error of one torque affects the parameters of all.
     contrary = ", ".join(dict.fromkeys(finding.kind for finding in result.contradictions))
     return tuple(_verdict(j, residual[0][j], residual[-1][j], {name: share[j] for name, share in open_.items()},
                           "it does not move" if not moved[j] else

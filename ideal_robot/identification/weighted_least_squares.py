@@ -66,14 +66,14 @@ def weighted_least_squares(W: Array, y: Array, start: Array, information: Array,
         W: ``(M, n, P)`` observation matrix per sample.
         y: ``(M, n)`` measurements; a channel that is NaN throughout takes no part.
         start: values ``(P,)`` that directions without excitation keep.
-        information: what is known of the parameters about these beforehand: an inverse covariance ``(P, P)``.
-        segments: ``(M,)`` number of the recording each sample comes from: what residuals of one have in common from
-            sample to sample widens the covariance. They are taken for white if None.
+        information: prior of the parameters about ``start``, as an inverse covariance ``(P, P)``.
+        segments: ``(M,)`` number of the recording each sample comes from: the correlation of its residuals from sample
+            to sample enlarges the covariance. Residuals are assumed white if None.
         nonnegative: ``(P,)`` parameters that may not be negative.
-        variance: ``(M, n)`` variance that each sample is known to have beside its channel's noise level, in the square
-            of y's unit.
-        regions: rows at which the motion is alike: what the model class lacks there does not average out over time, and
-            what regions disagree about widens the covariance.
+        variance: ``(M, n)`` variance known variance of each sample in addition to its channel's noise level, in the
+            square of y's unit.
+        regions: rows of similar motion: model errors there do not average out over time, and disagreement of the
+            regions enlarges the covariance.
     """
     live = np.asarray(~np.isnan(y).all(axis=0))
     y = np.where(live, y, 0.0)
@@ -91,10 +91,10 @@ def weighted_least_squares(W: Array, y: Array, start: Array, information: Array,
         value, inverse, at_bound = _bounded(value, inverse, start, bounded, unexcited)
         value = value + start
         residual = y - W @ value
-        # [J] (15) channel by channel; each channel is charged its share of the parameters.
+        # [J] (15) channel by channel; each channel has its share of the parameters subtracted.
         freedom = max(1.0, count - (size - unexcited.sum()) / n)
         level = np.sum(residual**2, axis=0) / freedom
-        # What is known of single samples is a bound rather than a measurement: it explains three quarters at most.
+        # The known variance of samples is a bound rather than a measurement: it explains at most three quarters.
         noise = np.maximum(np.sqrt(np.maximum(level - np.mean(extra, axis=0), _OWN * level)), 1e-9 * scale_y)
     std_white = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     covariance = inverse
@@ -134,7 +134,7 @@ def _bounded(value: Array, inverse: Array, start: Array, bounded: np.ndarray, un
     value = value + inverse[:, places] @ (multipliers * scale)
     active = places[multipliers > 0]
     value[active] = -start[active]
-    # What is held at its bound has no variance, and the others none that comes from it.
+    # Parameters at a bound have no variance, and contribute none to the others.
     gain = inverse[:, active] @ np.linalg.pinv(inverse[np.ix_(active, active)], hermitian=True)
     reduced = inverse - gain @ inverse[active]
     reduced[active] = 0.0
@@ -182,7 +182,7 @@ def _solve(rows: Array, root: Array) -> tuple[Array, Array, tuple[float, float],
     P = W.shape[1]
     size = np.linalg.norm(W, axis=0)
     excited = size > 1e-10 * size.max()
-    # R of the QR decomposition has the singular values of W but only P rows.
+    # R of the QR decomposition has the singular values of W with only P rows.
     joined = _triangular(np.hstack([W[:, excited] / size[excited], y]))
     R, rhs = joined[: excited.sum(), :-1], joined[: excited.sum(), -1]
     raw = np.linalg.svd(R * size[excited], compute_uv=False)
@@ -195,7 +195,7 @@ def _solve(rows: Array, root: Array) -> tuple[Array, Array, tuple[float, float],
     inverse = np.zeros((P, P))
     scaled = (vt.T * inverse_s**2) @ vt / np.outer(size[excited], size[excited])
     inverse[np.ix_(excited, excited)] = scaled
-    # A parameter with a visible share of a direction that the data leave open cannot be told.
+    # A parameter with a clear component in an undetermined direction is undetermined.
     unexcited = ~excited
     unexcited[np.flatnonzero(excited)[np.sum(directions[data <= _RANK * data[0]] ** 2, axis=0) > 1e-3]] = True
     return value, inverse, (float(raw[0] / max(raw[-1], 1e-300)), float(data[0] / max(data[-1], 1e-300))), unexcited
@@ -284,10 +284,10 @@ def _jackknife(W: Array, residual: Array, inverse: Array, blocks: Sequence[np.nd
     return np.asarray((len(blocks) - 1) / len(blocks) * deviation.T @ deviation)
 
 
-# What is known of an arm's parameters before any data: each link's are nominal to their own size.
+# Prior of an arm's parameters: those of each link are nominal within their own size.
 #
-# A motion that excites is not moved by it. What a motion leaves open stays near what a body of that size can have,
-# instead of being filled with noise that no other motion would show.
+# It hardly changes parameters that a motion excites. Undetermined ones stay near values of a body of that size, instead
+# of being fitted to noise.
 
 _ROTOR = 0.3
 """Standard deviation of a rotor's inertia that drive data give, relative to it: what they leave out is coupling, brake
@@ -300,14 +300,14 @@ _OFFSET = 0.2
 
 @dataclass(frozen=True)
 class Prior:
-    """Full nominal parameters and how well they are known.
+    """Full nominal parameters and their prior uncertainty.
 
     Attributes:
         nominal: links, rotor inertias, offsets ``(p,)``, in units of the recorded torque.
         start: base parameters ``(b,)``.
         information: inverse covariance of the base parameters about ``start`` ``(b, b)``.
-        rotors: what rotor inertias may differ by from the nominal ones ``(n,)``: those of drive data by the size of a
-            link, others by the inertia that would take all of the torque.
+        rotors: standard deviations of the rotor inertias from the nominal ones ``(n,)``: those of drive data by the
+            size of a link, others by the inertia that would take all of the torque.
     """
 
     nominal: Array
@@ -316,18 +316,18 @@ class Prior:
     rotors: Array
 
     def padded(self, size: int) -> Array:
-        """The information among ``size`` parameters of which nothing is known of those that follow."""
+        """The information matrix extended to ``size`` parameters without a prior for the added ones."""
         padded = np.zeros((size, size))
         padded[: len(self.start), : len(self.start)] = self.information
         return padded
 
 
 def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSignals], *, amperes: bool) -> Prior:
-    """What is known of a robot before its recordings are looked at, but for the size of its torque.
+    """Prior of a robot's parameters before its recordings are used, except for the size of its torque.
 
-    Rotor inertias behind gears have nothing to do with the size of a link: they are known to the inertia that would
-    take all of the torque. Offsets are known to a fifth of it, those of sliding joints, whose gravity is constant and
-    often balanced, to the weight.
+    Rotor inertias behind gears are independent of the links' size: their standard deviation is the inertia that would
+    need all of the torque. Offsets have a fifth of the torque; those of prismatic joints, whose gravity is constant and
+    often balanced, the weight.
 
     Args:
         robot, base: nominal inertias, and grouping of its parameters.
@@ -353,24 +353,24 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
 
 
 def rotors_of(solution: Solution, base: BaseParameters, prior: Prior) -> tuple[np.ndarray, Array, Array]:
-    """Places of rotor inertias among the parameters, their values ``(k,)``, and the covariance of all parameters.
+    """Rotor inertias with the drive data's prior: indices, values ``(k,)``, and the covariance of all parameters.
 
-    They are weighed against those that drive data give, where these give one. Least squares count what a model class
-    lacks as noise of single samples, and would outweigh what is known of a rotor by a residual that looks like
-    acceleration. Weighed with the covariance that holds what samples have in common and regions disagree about, a rotor
-    is the data's where they tell, and the drive data's where they do not. Of rotors that only show together with links
-    nothing is said.
+    They are combined with the drive data's values, where there are any. Plain least squares treat model errors as noise
+    of single samples and would overrule the drive data by a residual that resembles acceleration. With the covariance
+    that contains correlation and disagreement of the regions, the recordings decide only where they determine a rotor.
+    Rotors that only appear in a sum with links are not returned.
 
     Args:
         solution: its first parameters are the base parameters.
-        base, prior: grouping of the parameters, and what is known of them.
+        base, prior: grouping of the parameters, and their prior.
     """
     n = len(prior.nominal) // 12
     alone = np.flatnonzero(np.count_nonzero(base.grouping, axis=1) == 1)
     held = np.argmax(base.grouping[alone] != 0.0, axis=1)
     rotors = base.grouping[alone, held] * prior.nominal[held]
     variance, own = (_ROTOR * rotors) ** 2, solution.covariance[alone, alone]
-    # Data that contradict the drive data by more than both allow show a wrong table: a rotor without its gear ratio.
+    # Data that contradict the drive data by more than both uncertainties indicate a wrong table: a rotor without its
+    # gear ratio.
     agree = (solution.value[alone] - rotors) ** 2 < _CONTRADICTS**2 * (variance + own)
     known = (held // n == 10) & (rotors > 0.0) & (own > 0.0) & agree
     places = alone[known]

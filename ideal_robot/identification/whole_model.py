@@ -51,7 +51,7 @@ _WARMTH = 3.0
 
 @dataclass(frozen=True, repr=False)
 class IdentificationResult(Summarised):
-    """The identified model and everything behind it.
+    """The identified model with all intermediate results.
 
     Attributes:
         model: the identified model, controller and stiffness included where the recordings show them.
@@ -60,10 +60,10 @@ class IdentificationResult(Summarised):
         two_step: the measured operating points, for the two-step method.
         estimation, validation: the recordings.
         warnings: named warnings, each ``name: sentence``.
-        missing: what the recordings could not tell, each ``part: what is needed``.
+        missing: parts that the recordings do not determine, each ``part: what is needed``.
         linear_loop: impulse responses of the closed loop, [G] (7), where there are commands; or None.
         warm_up: per joint how friction falls with gear temperature, where that was logged and rose; or None.
-        verdicts: what the model is worth, joint by joint.
+        verdicts: quality of the model, joint by joint.
     """
 
     model: Model
@@ -79,7 +79,7 @@ class IdentificationResult(Summarised):
     verdicts: tuple[JointVerdict, ...] = ()
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was identified, how well, and what is missing."""
+        """Identified parts with their quality, and missing parts, as rows of label and value."""
         errors = listed(joined(self.result.estimation).residual_std_percent, "%")
         return [("model", f"{self.model.arm.name!r}: std(residual)/std(torque) {errors} by joint"),
                 ("verdicts", ", ".join(f"{verdict.joint} {verdict.verdict}" for verdict in self.verdicts)),
@@ -87,7 +87,7 @@ class IdentificationResult(Summarised):
                 ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing) or "nothing")]
 
     def plot(self) -> Figure:
-        """Torque of the first recording, measured and as the model predicts it, joint by joint."""
+        """Figure of the first recording's torque, measured and predicted, joint by joint."""
         first = self.result.estimation[0]
         return over_time(first.t, [(f"tau_{j + 1} [{unit}]", [("measured", first.measured[:, j]),
                                                               ("model", first.tau[:, j])])
@@ -138,9 +138,9 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
                    cutoff: float | None = None, cutoff_decimation: float | None = None,
                    without_integrator: Recording | Sequence[Recording] = (), cascade: bool = True,
                    progress: Progress = silent) -> IdentificationResult:
-    """Identifies rigid body, friction, offsets and, where the recordings hold what is needed, controller and stiffness.
+    """Identifies rigid body, friction, offsets and, where the recordings permit it, controller and stiffness.
 
-    What the recordings cannot tell stands in ``missing`` of the result, what they tell badly in ``warnings``.
+    Parts that the recordings do not determine are in ``missing`` of the result, poorly determined ones in ``warnings``.
 
     Args:
         recordings: one or several of free motion, with ``t`` [s], ``q_i`` [rad] and ``tau_i`` [N m] or
@@ -153,7 +153,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
         cutoff_decimation: decimation filter [Hz]; half of the position filter if None.
         without_integrator: recordings with the controllers' integrators off, for [G] (16).
         cascade: fit the controllers at their own cycles too, which precorrection is better with; takes half a minute.
-        progress: called with the share done and what is being done.
+        progress: called with the share done and the present step.
 
     Raises:
         InputError: recordings that cannot be used, an unknown method.
@@ -189,10 +189,10 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
 
 
 def with_given_controller(analysis: IdentificationResult, wanted: str | Path, robot: Robot) -> IdentificationResult:
-    """The result with a given controller, where the recordings determine none.
+    """The result with a given controller, where the recordings do not determine one.
 
     Args:
-        analysis, robot: what the recordings tell, and the arm.
+        analysis, robot: the identification result, and the arm.
         wanted: see ``ideal_robot.model.cascade.given_controller``, which raises InputError.
     """
     controller = given_controller(wanted, analysis.model.dynamics, robot)
@@ -206,7 +206,7 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
 
 
 def with_controllers(model: Model, recording: Recording, robot: Robot) -> Model | None:
-    """The model with the joint controllers that a recording shows in the place of its own; None where it shows none.
+    """The model with joint controllers identified from a recording instead of its own; None where there are none.
 
     Args:
         model: of the arm; its bodies, friction and gears stay.
@@ -214,7 +214,7 @@ def with_controllers(model: Model, recording: Recording, robot: Robot) -> Model 
         robot: the arm.
     """
     warnings: list[str] = []
-    # A law of the command that was known is one of other controllers.
+    # The old law of the command belongs to other controllers.
     bare = dataclasses.replace(model, controller=None, command=None)
     _, found = _with_controller([recording], (), robot, bare, warnings, True)
     found = _with_command([recording], robot, found, warnings, silent)
@@ -222,7 +222,7 @@ def with_controllers(model: Model, recording: Recording, robot: Robot) -> Model 
 
 
 def command_figures(model: Model) -> list[dict[str, Any]]:
-    """A row a joint: its controller, the law's residual of ``q_c - q`` on held-out data, and ``q_c - q`` itself."""
+    """One row per joint: its controller, the law's held-out residual of ``q_c - q``, and ``q_c - q`` itself."""
     law = model.command
     if law is None:
         return []
@@ -236,8 +236,8 @@ class FrictionPoints(NamedTuple):
 
     Attributes:
         speed: [rad/s or m/s].
-        torque: what is left of the measured torque when everything but friction is subtracted [N m or N].
-        modelled: what the model says of friction there, load and reversals included [N m or N].
+        torque: measured torque less everything but friction [N m or N].
+        modelled: the model's friction there, load and reversals included [N m or N].
         temperature: of the gears [°C], or None where a recording has none.
     """
 

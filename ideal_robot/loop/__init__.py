@@ -1,1 +1,1 @@
-"""The closed loop of controller and arm as it was identified."""
+"""The identified closed loop of controller and arm."""

@@ -1,4 +1,4 @@
-"""From an identified model to the flat arrays that the feedforward and the simulation of the loop compute with."""
+"""Makes the flat arrays for feedforward and simulation of the loop from an identified model."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.tolerances import CREEP
 
-# Rotor inertias that the closed loop can be computed with.
+# Rotor inertias with which the closed loop can be computed.
 #
-# Of a base joint, motion tells the sum of the rotor's inertia and that of the links it moves, nothing more. Where the
-# robot data have no rotor inertia either, all of the sum may have gone to the links: a motor without inertia behind its
-# gear, which no drive is and no simulation can follow. A share of the links' inertia then counts to the rotor; the sum,
-# and with it the motor torque of a motion behind rigid gears, stays what was identified.
+# For a base joint, motion determines only the sum of the rotor's inertia and that of its links. Without rotor inertia
+# in the robot data, all of the sum may be assigned to the links, with a motor without inertia, which no simulation can
+# follow. A share of the links' inertia is then assigned to the rotor; the sum, and with it the motor torque of a motion
+# behind rigid gears, stays what was identified.
 
 _SHARE = 0.5
 """Rotor inertia over the least inertia that the links hold against the joint, where the rotor is not known. Assumed:
@@ -31,7 +31,7 @@ gears are chosen so that both sides are alike."""
 
 
 def with_rotors(chain: Chain, rotor_inertia: Array, q_min: Array, q_max: Array) -> tuple[Chain, Array]:
-    """The chain and the rotor inertias ``(n,)``, none of them less than a share of what its joint moves.
+    """The chain and the rotor inertias ``(n,)``, each at least a fixed share of its joint's inertia.
 
     Args:
         chain: rigid bodies of the arm.
@@ -59,7 +59,7 @@ def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
 
 
 def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
-    """The loop with the effects added that act in it: each says where and by how much (``Effect.loop_change``)."""
+    """The loop with the effects that act in it, each by its ``Effect.loop_change``."""
     drives, friction = loop.drives, loop.friction
     sizes, per_load, presliding = friction.sizes.copy(), friction.per_load.copy(), np.zeros(loop.n)
     offset, rotor, gain = drives.offset.copy(), drives.rotor_inertia.copy(), drives.gain.copy()
@@ -72,7 +72,7 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
             sizes[j] += _curve(effect, friction.speeds)
         if change.friction_shares is not None:
             dry, rising = change.friction_shares
-            # What the law has beyond dry friction at standstill rises with speed.
+            # The law's terms beyond dry friction at standstill rise with speed.
             still = np.array(sizes[:, :, :1])
             sizes += rising * (sizes - still) + dry * still
         per_load[j] += change.friction_per_load, change.friction_per_driven_load
@@ -141,7 +141,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
                          field="controller")
     n = model.n
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
-    # What the delay has beyond whole cycles, and the low-pass, make the command filter.
+    # The fraction of the delay beyond whole cycles, and the low-pass, form the command filter.
     identified = int(controller.delay / robot.t_ipo)
     whole, rest = delay + identified, controller.delay - identified * robot.t_ipo
     chain, rotor_inertia = with_rotors(chain_of(model.dynamics), np.array(model.rotor_inertia), robot.q_min,
@@ -172,7 +172,7 @@ def _or(value: Array | None, usual: Array) -> Array:
 
 
 def sheet_rotors(model: Model, robot: Robot) -> Array:
-    """Rotor inertias of the data sheet ``(n,)`` [kg m²], as identified where it has none."""
+    """Rotor inertias of the data sheet ``(n,)`` [kg m²]; the identified ones where it has none."""
     return np.where(robot.rotor_inertia > 0.0, robot.rotor_inertia, np.maximum(model.rotor_inertia, 0.0))
 
 

@@ -2,7 +2,7 @@
 
     q_i(k) = Σ_l g_i(l) q_d,i(k - l) ,   l = m_d … m
 
-Everything the linear methods do — predicting, inverting, learning — works with the response written out as a matrix.
+Everything the linear methods do — predicting, inverting, learning — works with the response as a matrix.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Measurement(NamedTuple):
 
 
 def least_squares(*measurements: Measurement) -> Array:
-    """The likeliest unknowns ``x (size,)``; of smallest norm where measurements do not determine them.
+    """The most likely unknowns ``x (size,)``; of smallest norm where measurements do not determine them.
 
     A prior is a measurement like any other.
     """
@@ -39,7 +39,7 @@ def least_squares(*measurements: Measurement) -> Array:
 class LinearLoop:
     """Impulse responses of ``n`` decoupled joints at the interpolation cycle [s].
 
-    Row ``l`` of ``g (m + 1, n)`` is the answer ``l`` cycles after the command.
+    Row ``l`` of ``g (m + 1, n)`` is the response ``l`` cycles after the command.
     """
 
     g: Array
@@ -56,15 +56,15 @@ class LinearLoop:
         return int(self.g.shape[1])
 
     def predict(self, q_c: Array) -> Array:
-        """[G] (7): answer ``(N, n)`` [rad] to the commands ``q_c (N, n)``, at rest at ``q_c[0]`` before.
+        """Response ``(N, n)`` [rad] to the commands ``q_c (N, n)``, at rest at ``q_c[0]`` before, [G] (7).
 
-        The static gain of the response is used as it is, so a response that does not sum to 1 shows.
+        The static gain of the response is used as it is, so the result shows a response that does not sum to 1.
         """
         moved = q_c - q_c[0]
         return np.column_stack([np.convolve(moved[:, i], self.g[:, i])[: len(q_c)] for i in range(self.n)]) + q_c[0]
 
     def matrix(self, joint: int, rows: int, columns: int) -> Array:
-        """``G (rows, columns)`` of [G] (11): answers to commands, both from cycle 0 on.
+        """Matrix ``G (rows, columns)`` of [G] (11): from commands to responses, both from cycle 0 on.
 
         Args:
             joint: from 0.
@@ -76,15 +76,15 @@ class LinearLoop:
 
     @classmethod
     def of(cls, loop: Loop, q: Array, length: int = 40, step: float = 2e-3) -> LinearLoop:
-        """Linearises the identified loop at ``q``: answer of the arm to a small step.
+        """Linearises the identified loop at ``q``: response of the arm to a small step.
 
         Args:
             loop, q: the identified loop, and the working point ``(n,)`` [rad].
-            length: cycles until the response counts as over.
+            length: cycles after which the response has ended.
             step: size of the step [rad].
         """
-        # Friction, ripple, play and uneven gears are left out: about a point they would count as springs that a motion
-        # does not meet.
+        # Friction, ripple, backlash and transmission errors are left out: linearised at a point they would act as
+        # springs.
         none, friction = np.zeros((0, 3, loop.n)), loop.friction
         smooth = loop.changed(sizes=np.zeros_like(friction.sizes), per_load=np.zeros_like(friction.per_load),
                               ripple=none, uneven=none, half_gap=np.zeros(loop.n), terms=())
@@ -108,8 +108,8 @@ class LinearLoop:
             t_ipo: the cycle [s].
             delay: relative degree ``m_d``: cycles before which nothing answers.
             length: last cycle ``m`` of the response.
-            prior: standard deviation of the answer [rad] at which data and the prior (a response that is smooth and
-                sums to 1) count the same.
+            prior: standard deviation of the response [rad] at which data and prior (a response that is smooth and sums
+                to 1) have equal weight.
 
         Raises:
             InputError: a joint does not move, or there are fewer samples than coefficients.

@@ -1,7 +1,7 @@
-"""Everything the model side knows of one closed loop: rigid body, friction, drives, controller and command path.
+"""The identified closed loop as one record: rigid body, friction, drives, controller and command path.
 
 ``Loop`` is one record of arrays for Python and for compiled code; :func:`ideal_robot.loop.from_model.loop_model` builds
-it from an identified model, and :func:`ideal_robot.loop.loop.checked` holds what every loop has to be.
+it from an identified model, and :func:`ideal_robot.loop.loop.checked` checks it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Drives(NamedTuple):
             [N m]; ``m`` may be 0.
         stiffness: of the gears ``(n,)`` [N m/rad]; infinite where they are rigid.
         damping: of the gears ``(n,)`` [N m s/rad].
-        uneven: what the gear's output turns beyond the motor, in the form of ``ripple`` [1/rad, rad, rad].
+        uneven: transmission error of the gear, in the form of ``ripple`` [1/rad, rad, rad].
         half_gap: half the backlash of each gear ``(n,)`` [rad].
         gap_load: load over which the backlash is crossed ``(n,)`` [N m]; 0 where the direction of motion decides.
     """
@@ -49,7 +49,7 @@ class Cascade(NamedTuple):
     """Position and velocity loops of ``n`` joints, [G] (16), (17), at their own cycles.
 
     Position loop ``u = k_v (r - q) + k_ff ṙ + k_a r̈ - q̇``, velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
-    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. Rates of the command may pass a lag each. Of PID control of the
+    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. Rates of the command may pass a lag each. In PID control of the
     position the integrator gets ``k_v (r - q)`` alone, a share w = 0 of the rest; impedance control has no integrator.
 
     Attributes:
@@ -58,7 +58,7 @@ class Cascade(NamedTuple):
         k_p, k_i: velocity loop ``(n,)`` [N m s/rad], [N m/rad].
         t_filter: time constant of the low-pass differentiator ``(n,)`` [s].
         tau_max: torque limit ``(n,)`` [N m]; infinite for none.
-        integrated: w, of what is not position; 1 of a cascade, 0 of PID control.
+        integrated: share w of the terms other than position in the integrator; 1 for a cascade, 0 for PID control.
     """
 
     k_v: Array
@@ -73,23 +73,23 @@ class Cascade(NamedTuple):
 
 
 class Compensation(NamedTuple):
-    """What joint controllers do with what they know of the arm; arrays are ``(n,)``.
+    """Model-based parts of joint controllers; arrays are ``(n,)``.
 
     To the torque of the velocity loops some add
 
-    - what friction takes from a motion in the direction of the command, ``τ_c tanh(ṙ / v_c)``,
-    - a share b of the data sheet's gravity and Coriolis torques.
+    - the friction of a motion in the direction of the command, ``τ_c tanh(ṙ / v_c)``, - a share b of the data sheet's
+    gravity and Coriolis torques.
 
-    Their gains may follow the inertia J that the joint moves by the data sheet, its rotor's included:
-    ``k_p (1 + g (J(q) / J_0 - 1))``, and ``k_i`` likewise. Where loops ask for accelerations, and the data sheet's mass
-    matrix M makes torques of them (inverse dynamics), all that they say is multiplied by ``M(q) diag(1 / J_0)``.
+    Their gains may follow the inertia J that the joint moves by the data sheet, its rotor's included: ``k_p (1 + g
+    (J(q) / J_0 - 1))``, and ``k_i`` likewise. If the loops command accelerations, which the data sheet's mass matrix M
+    converts to torques (inverse dynamics), their output is multiplied by ``M(q) diag(1 / J_0)``.
 
     Attributes:
         friction_torque: τ_c [N m]; 0 where the drive compensates none.
         turning_speed: v_c, of the command, over which that turns round [rad/s].
         bodies: b; 0 where no bodies are compensated.
         schedule: g; 0 for gains that are the same everywhere.
-        coupled: whether the mass matrix makes torques of what the loops say.
+        coupled: whether the mass matrix converts the loops' output to torques.
         scheduled_at: J_0, at which gains are those of the record [kg m²].
         sheet, rotors: bodies and rotor inertias [kg m²] of the data sheet.
     """
@@ -105,13 +105,13 @@ class Compensation(NamedTuple):
 
     @classmethod
     def none(cls, sheet: Chain, rotors: Array) -> Compensation:
-        """Of controllers that know nothing of the arm, whose data sheet is ``sheet`` with ``rotors (n,)`` [kg m²]."""
+        """No compensation: controllers without a model, with data sheet ``sheet`` and ``rotors (n,)`` [kg m²]."""
         zero, one = np.zeros_like(rotors), np.ones_like(rotors)
         return cls(zero, one, zero, 0.0, False, one, sheet, rotors)
 
 
 class CommandPath(NamedTuple):
-    """The way of a command to the position loop's reference: filter, delay, cycles and limits.
+    """The path from a command to the position loop's reference: filter, delay, cycles and limits.
 
     Attributes:
         command_filter: impulse response of the command low-pass at the position loop's cycle ``(L, n)``, sums to 1.
@@ -138,9 +138,9 @@ class Loop(NamedTuple):
         drives: motors and gears.
         friction: of every joint.
         cascade: position and velocity loops.
-        compensation: what they do with what they know of the arm.
+        compensation: model-based parts of the controllers.
         path: from a command to the position loop.
-        terms: effects whose torque the motor has to give as well; compiled code takes the records before them.
+        terms: effects with a motor torque of their own; compiled code uses only the other records.
     """
 
     chain: Chain
@@ -175,7 +175,7 @@ class Loop(NamedTuple):
         """The loop with some fields of its records, or whole records, changed.
 
         Args:
-            fields: by name; each name stands in one record only.
+            fields: new values by name; each name occurs in one record only.
         """
         for name in [name for name in fields if name in Loop._fields]:
             self = self._replace(**{name: fields.pop(name)})
@@ -190,7 +190,7 @@ class Loop(NamedTuple):
 
 
 def checked(loop: Loop) -> Loop:
-    """The loop, all its arrays in one piece as compiled code wants them; InputError where it can be none."""
+    """The loop with contiguous arrays for compiled code; InputError for impossible values."""
     values = {"k_v": loop.cascade.k_v, "k_p": loop.cascade.k_p, "stiffness": loop.drives.stiffness}
     for name, value in values.items():
         if not np.all(value > 0.0):
@@ -226,7 +226,7 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
     """
     torque = 0.0
     for m in range(ripple.shape[0]):
-        # A joint has few of the components that all joints together have; cosines are what takes time.
+        # A joint has few of all joints' components; the cosines take the time.
         if ripple[m, 1, i] != 0.0 or ripple[m, 2, i] != 0.0:
             phase = ripple[m, 0, i] * q
             torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
@@ -250,7 +250,7 @@ def mass_at(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
 
 @jit()
 def gains_at(compensation: Compensation, q: Array) -> Array:
-    """What the velocity loops' torques at the record's gains are multiplied by at a posture ``(n, n)``.
+    """Matrix ``(n, n)`` that multiplies the velocity loops' torques at a posture, by the scheduled gains.
 
     Args:
         compensation: of all joints.
@@ -266,7 +266,7 @@ def gains_at(compensation: Compensation, q: Array) -> Array:
 
 @jit()
 def sheet_torque(compensation: Compensation, q: Array, v: Array) -> Array:
-    """Torque of gravity and velocities that controllers add for the bodies of the data sheet ``(n,)`` [N m].
+    """Gravity and Coriolis torques that controllers add for the data sheet's bodies ``(n,)`` [N m].
 
     Args:
         compensation: of all joints.
@@ -283,7 +283,7 @@ def sheet_torque(compensation: Compensation, q: Array, v: Array) -> Array:
 
 @jit()
 def compensated(compensation: Compensation, i: int, rate: float) -> float:
-    """Torque that a joint's drive adds to its loops' for friction [N m].
+    """Friction compensation that a joint's drive adds to its loops' torque [N m].
 
     Args:
         compensation: of all joints.
@@ -296,7 +296,7 @@ def compensated(compensation: Compensation, i: int, rate: float) -> float:
 
 @jit()
 def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
-    """What a joint turns beyond its motor, and its two derivatives by the motor angle.
+    """Transmission error of a joint, and its two derivatives by the motor angle.
 
     Args:
         uneven: order, cosine and sine part of each component ``(m, 3, n)`` [1/rad, rad, rad].
@@ -314,11 +314,11 @@ def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
 
 @jit()
 def behind_uneven_gears(uneven: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-    """Motor angles, velocities and accelerations ``(N, n)`` for wanted gear outputs.
+    """Motor angles, velocities and accelerations ``(N, n)`` for desired gear outputs.
 
     Args:
         uneven: see ``unevenness``.
-        q, v, a: wanted outputs ``(N, n)`` [rad], their velocities and accelerations.
+        q, v, a: desired outputs ``(N, n)`` [rad], their velocities and accelerations.
     """
     q_m, v_m, a_m = q.copy(), v.copy(), a.copy()
     for i in range(q.shape[1]):
@@ -367,5 +367,5 @@ def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n
         for _ in range(order if time > 0 else 0):
             a = np.exp(-t_position / time)
             taps[:, i] = np.convolve(taps[:, i], (1 - a) * a ** np.arange(length))[:length]
-    # The tail that is cut off is below 1e-5; the static gain must be 1 exactly.
+    # The truncated tail is below 1e-5; the static gain must be exactly 1.
     return np.asarray(taps / taps.sum(axis=0))

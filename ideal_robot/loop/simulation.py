@@ -1,7 +1,7 @@
 """Simulation of the *identified* closed loop: rigid body, friction, rotors, elastic gears, controller, command path.
 
-It is what the ideal robot can try things on before the arm moves ([G] Fig. 15 with identified numbers). It knows
-nothing of the simulated world in ``sim``; it is another program with other formulas.
+The ideal robot uses it before the arm moves ([G] Fig. 15 with identified numbers). It is independent of the simulated
+world in ``sim``, which has other formulas.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ideal_robot.tolerances import ROUNDING, ZERO_CROSSING
 
 @dataclass(frozen=True)
 class LoopMotion:
-    """What the simulated loop did, at the instants ``t_k = k t_ipo`` at which commands are handed over.
+    """Motion of the simulated loop at the instants ``t_k = k t_ipo`` at which commands are sent.
 
     Attributes:
         t: ``(N,)`` [s]; row 0 is the start.
@@ -49,7 +49,7 @@ class LoopMotion:
 
 
 def interpolated(q_c: Array, q0: Array, loop: Loop) -> Array:
-    """The command as the position loop gets it before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
+    """The command at the position loop before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
 
     Row ``j`` belongs to the time ``j t_position``.
 
@@ -77,10 +77,10 @@ def low_passed(command: Array, q0: Array, taps: Array) -> Array:
 
 
 def simulate(loop: Loop, q_c: Array, *, tau_ext: Array | None = None) -> LoopMotion:
-    """Plays commands on the identified loop, from rest at the first one.
+    """Simulates the identified loop with commands, from rest at the first one.
 
-    At rest at the start means: arm and motor in equilibrium with gravity, integrators carrying it, the motor where
-    ``q_c[0]`` says.
+    At rest at the start means: arm and motor in equilibrium with gravity, held by the integrators, the motor at
+    ``q_c[0]``.
 
     Args:
         loop, q_c: the identified loop, and commands ``(N, n)`` [rad].
@@ -182,7 +182,7 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
     q_a = q_a - tau0 / drives.stiffness - side * drives.half_gap
     holding = drives.gain * (tau0 + drives.offset) + further
     summed = holding - sheet_torque(loop.compensation, q0, still)
-    # Without an integrator the joint sags until its stiffness holds it.
+    # Without an integrator the joint deflects under gravity until its stiffness balances it.
     sag = np.linalg.solve(gains_at(loop.compensation, q0), np.where(loop.cascade.k_i > 0.0, 0.0, summed))
     sag = sag / (loop.cascade.k_p * loop.cascade.k_v)
     state = _Motion(q_a - sag, still.copy(), q0 - sag, still.copy(), np.where(loop.cascade.k_i > 0.0, summed, 0.0),
@@ -190,7 +190,7 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
                     tau0.copy())
     out = np.empty((3, cycles + 1, n))
     out[:, 0] = state.q_a, state.q_m, state.tau
-    # Without further torques all is one compiled call; they are computed anew in every position cycle.
+    # Without further torques the whole simulation is one compiled call; with them it is called per position cycle.
     stride = 1 if loop.terms else len(reference)
     v, q, direction = still, q0, still
     clock = _Clock(loop.path.t_position, loop.path.t_velocity, steps)
@@ -243,8 +243,8 @@ def _play(chain: Chain, drives: Drives, friction: Friction, controller: tuple[Ca
         joint_frames(chain, q_a, R, p)
         mass_matrix(chain, R, p, M)
         for i in range(n):
-            # Implicit midpoint for the springs of gears, implicit Euler for their damping, which does not ring where a
-            # link is much lighter than it: light wrists on stiff gears stay stable at this step.
+            # Implicit midpoint for the springs of gears, implicit Euler for their damping, which does not oscillate for
+            # very light links: light wrists on stiff gears stay stable at this step.
             M[i, i] += dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
         if not factor(M):
             raise np.linalg.LinAlgError("the mass matrix is not positive definite")
@@ -264,12 +264,13 @@ def _play(chain: Chain, drives: Drives, friction: Friction, controller: tuple[Ca
                        - ripple_torque(drives.ripple, i, q_m[i]))
                 before = v_m[i]
                 v_m[i] = _rotor(friction, drives.rotor_inertia[i], state, net, dt, i)
-                # What the gear's spring gains in half a step, and its damper by the motor's acceleration.
+                # Change of the gear torque: of its spring in half a step, and of its damper by the motor's
+                # acceleration.
                 rise[i] = mesh * (0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - v_a[i])
                                   + drives.damping[i] * slope * (v_m[i] - before))
             for i in range(n):
                 acceleration[i] = load[i] - bias[i] + external[cycle, i] + rise[i]
-            # (M + dt D + dt²/4 K) a = load of a spring half a step on and of a damper a step on - bias.
+            # (M + dt D + dt²/4 K) a = load of the spring half a step later and of the damper a step later - bias.
             solve(M, acceleration)
             for i in range(n):
                 v_a[i] += acceleration[i] * dt
@@ -325,7 +326,7 @@ def _rotor(friction: Friction, inertia: float, state: _Motion, net: float, dt: f
     if friction.distance[i] > 0.0:
         torque, state.force[i] = friction_step(friction, i, v, state.load[i], state.force[i], v * dt)
         return v + (net - torque) / inertia * dt
-    # What jumps is full friction against the motion, or against the torque that is about to move a joint at rest.
+    # The jump is full friction against the motion, or against the torque that is about to move a joint at rest.
     speed = max(abs(v), ZERO_CROSSING)
     torque, _ = friction_step(friction, i, speed if (v if v != 0.0 else net) > 0.0 else -speed, state.load[i], 0.0, 0.0)
     free, slow = v + net / inertia * dt, abs(torque) / inertia * dt

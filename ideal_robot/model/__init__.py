@@ -1,1 +1,1 @@
-"""What was identified of an arm, and its file."""
+"""The identified model of an arm, and its file."""

@@ -1,4 +1,4 @@
-"""The arm as effects say that it is: what it carries, how stiff its gears are, where gravity comes from."""
+"""The arm changed by effects: its loads, stiffness of its gears, direction of gravity."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ Changes = list[tuple[FittedEffect, LoopChange]]
 
 
 def changes_of(effects: tuple[FittedEffect, ...]) -> Changes:
-    """Effects that act somewhere, with what each changes."""
+    """The effects that act in the loop, each with its change."""
     every = [(effect, effect.effect.loop_change(effect.coefficients, effect.theta)) for effect in effects]
     return [(effect, change) for effect, change in every if not change.nowhere]
 
 
 def chain_with(chain: Chain, changes: Changes) -> Chain:
-    """The rigid body with bodies added to its links, gravity from elsewhere and joints whose zeros are elsewhere."""
+    """The rigid body with bodies added to its links, changed gravity and changed joint zeros."""
     mass, com, inertia = chain.mass.copy(), chain.com.copy(), chain.inertia.copy()
     gravity, rotation, position = chain.gravity.copy(), chain.rotation.copy(), chain.position.copy()
     for effect, change in changes:
-        # The whole arm's body (joint 0) is on the last link.
+        # A body of the whole arm (joint 0) is added to the last link.
         j = int(chain.own[effect.joint - 1]) if effect.joint > 0 else -1
         if change.body:
             mass[j], com[j], inertia[j] = _joined_bodies(mass[j], com[j], inertia[j], change.body)
@@ -50,10 +50,10 @@ def dynamics_with(dynamics: pin.Model, changes: Changes) -> pin.Model:
 
 
 def stiffness_with(stiffness: Array, changes: Changes) -> Array:
-    """Stiffness of the gears ``(n,)`` [N m/rad], from the one known before; ``inf`` for rigid ones.
+    """Stiffness of the gears ``(n,)`` [N m/rad], changed from the known one; ``inf`` for rigid ones.
 
-    What torques say of a gear replaces what was known, for it is all of the gear that they show; what they say after
-    that, and what shows beyond the known deflection, is a change. Arm angles say it better than torques.
+    An effect found in torques replaces the known compliance, as it is the whole compliance of the gear; later ones, and
+    those found beyond the known deflection, are added. Arm angles take precedence over torques.
     """
     stiffness = np.array(stiffness, dtype=float)
     from_arm_angle = {effect.joint for effect, change in changes if change.from_arm_angle}
@@ -79,11 +79,11 @@ def _joined_bodies(mass: float, com: Array, inertia: Array, body: tuple[float, .
     m, x, y, z, xx, xy, yy, xz, yz, zz = (*body, *(0.0,) * (10 - len(body)))
     about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     moment = mass * com + np.array([x, y, z])
-    # A body taken off that outweighs the link as identified: what is left has moments but no mass of its own.
+    # A removed body may outweigh the identified link: the rest then has moments but no mass.
     total = max(mass + m, 1e-6)
     centre = moment / total
     sizes, axes = np.linalg.eigh(inertia + about + mass * _steiner(com) - total * _steiner(centre))
-    # Of a body found in torques the inertias that hardly show may be anything; none of a link's is negative.
+    # Poorly determined inertias of a body found in torques may be negative; those of a link must not be.
     return total, centre, np.asarray(axes * np.maximum(sizes, 1e-6) @ axes.T)
 
 

@@ -1,4 +1,4 @@
-"""Joint controllers that no recording tells: gains of a data sheet, or those of a class with their spread.
+"""Assumed joint controllers where no recording shows them: of a data sheet, or typical ones with their spread.
 
 The cascade is ``u = k_v (r - q) + k_ff ṙ - q̇``, ``τ = k_p (u + ∫u / T_i)`` behind the low-pass of commands r.
 """
@@ -38,7 +38,7 @@ the middle and the ends of 17 to 33 1/s."""
 
 @dataclass(frozen=True)
 class Cascade:
-    """Gains of ``n`` joints, each ``(n,)``, under the names that data sheets give them.
+    """Gains of ``n`` joints, each ``(n,)``, named as in data sheets.
 
     Attributes:
         position_gain: [1/s].
@@ -58,10 +58,10 @@ class Cascade:
 
     @classmethod
     def of_class(cls, inertia: Array, t_position: float) -> Cascade:
-        """What controllers of arms usually have.
+        """Typical gains of arm controllers.
 
-        Each joint moves an ``inertia (n,)`` [kg m², or kg], its rotor's included; over ``t_position`` [s], the position
-        loop's cycle, velocity is measured and commands are smoothed.
+        ``inertia (n,)`` [kg m², or kg] is that of each joint with its rotor; velocity is measured and commands are
+        smoothed over ``t_position`` [s], the position loop's cycle.
         """
         ones = np.ones_like(inertia)
         bandwidth = VELOCITY_OVER_POSITION * POSITION_GAIN
@@ -70,7 +70,7 @@ class Cascade:
 
     @classmethod
     def of(cls, controller: ControllerModel) -> Cascade:
-        """The cascade behind a controller in the form of [G] (16), (17)."""
+        """The cascade of a controller in the form of [G] (16), (17)."""
         k_p = controller.k_d - controller.k_1
         with np.errstate(divide="ignore"):
             return cls(controller.k_p / k_p, controller.k_d / k_p, k_p, controller.t_cycle / controller.k_i,
@@ -84,7 +84,7 @@ class Cascade:
                                filter_order=2, spread=spread)
 
     def drawn(self, spread: dict[str, list[float]], rng: np.random.Generator) -> Cascade:
-        """One of the cascades that the spread allows."""
+        """A random cascade within the spread."""
         changed = {}
         for name in spread:
             value, off = getattr(self, name), np.asarray(spread[name]) * rng.standard_normal(len(self.position_gain))
@@ -93,12 +93,12 @@ class Cascade:
 
 
 def given_controller(wanted: str | Path, dynamics: pin.Model, robot: Robot) -> ControllerModel:
-    """The controller of a file or of the class; raises InputError for no such file, an unknown key, wrong numbers.
+    """The controller of a file or of the typical class; raises InputError for no such file or wrong entries.
 
     Args:
         wanted: ``class``, or the path of a TOML with the keys of ``Cascade``, one number or one per joint each, and in
             ``[spread]`` their standard deviations; keys that it leaves out are the class's, with its spread.
-        dynamics: of the arm with its rotors; says what inertia each joint moves.
+        dynamics: dynamics of the arm with its rotors, for each joint's inertia.
         robot: cycle, and postures.
     """
     table = {} if str(wanted) == CLASS else read_toml(Path(wanted), "a file of controller gains")
@@ -125,7 +125,7 @@ def given_controller(wanted: str | Path, dynamics: pin.Model, robot: Robot) -> C
 
 
 def moved_inertia(dynamics: pin.Model, robot: Robot) -> Array:
-    """Inertia that each joint moves, over postures of its range, its rotor included ``(n,)`` [kg m², or kg]."""
+    """Mean inertia of each joint over its postures, its rotor included ``(n,)`` [kg m², or kg]."""
     data = dynamics.createData()
     return np.asarray(np.mean([mass_matrix(dynamics, data, q).diagonal()
                                for q in spread_postures(robot.q_min, robot.q_max)], axis=0))
@@ -136,7 +136,7 @@ def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Arr
 
     Args:
         value, n: as it was read, and the number of joints.
-        file, field: where it stands, for the message.
+        file, field: source of the value, for the message.
     """
     try:
         array = np.asarray(value, dtype=float)
@@ -148,7 +148,7 @@ def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Arr
 
 
 def beside_cascade(controller: ControllerModel) -> str:
-    """What drives do beside the loops of a P/PI cascade, in the field's words; empty where nothing was found."""
+    """Functions of the drives besides a P/PI cascade, in words; empty where there are none."""
     parts = [] if controller.integrated else ["PID control of the position"]
     if controller.bodies is not None:
         shares = ", ".join(f"{100.0 * share:.0f}" for share in controller.bodies)

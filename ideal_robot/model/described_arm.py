@@ -1,4 +1,4 @@
-"""Which arm a model belongs to, and the gears behind which it moves."""
+"""The arm to which a model belongs, and its elastic gears."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ links are right within millimetres; the joints of another arm are centimetres aw
 
 @dataclass(frozen=True)
 class DescribedArm:
-    """The arm as its URDF has it.
+    """The arm as described by its URDF.
 
     Attributes:
         name: of the robot.
@@ -44,7 +44,7 @@ class DescribedArm:
         return model_of(self.urdf, f"the URDF in the model of {self.name}")
 
     def difference(self, robot: Robot) -> str:
-        """In which way a robot is another arm: other joints, or joints at other places; empty where it is this one."""
+        """How another robot differs: other joints, or joints at other places; empty where it is the same."""
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
         if self.kinematics.nv != robot.n:
             return f"the model of {self.name} has {self.kinematics.nv} joints, the robot {robot.name} has {robot.n}"
@@ -85,17 +85,17 @@ class Gears:
 
     @property
     def rigid_if_unknown(self) -> Array:
-        """Stiffness, ``inf`` where nobody knows it ``(n,)`` [N m/rad]."""
+        """Stiffness, ``inf`` where it is unknown ``(n,)`` [N m/rad]."""
         return np.where(np.isnan(self.stiffness), np.inf, self.stiffness)
 
     @property
     def compliance(self) -> Array:
-        """Compliance, zero where a gear is rigid or nobody knows it ``(n,)`` [rad/(N m)]."""
+        """Compliance, zero where a gear is rigid or its stiffness unknown ``(n,)`` [rad/(N m)]."""
         return np.asarray(1.0 / self.rigid_if_unknown)
 
     @property
     def known_damping(self) -> Array:
-        """Damping, zero where nobody knows it ``(n,)`` [N m s/rad]."""
+        """Damping, zero where it is unknown ``(n,)`` [N m s/rad]."""
         return np.zeros(len(self.stiffness)) if self.damping is None else np.nan_to_num(self.damping)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Models to MuJoCo and back: what was identified in an MJCF, and any MuJoCo model as the model of an arm.
+"""Conversion to and from MuJoCo: identified parameters in an MJCF, and any MuJoCo model as a model of an arm.
 
-MuJoCo is an optional extra and imported when it is asked for.
+MuJoCo is an optional extra and imported on first use.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ TURNS = 2.0 * np.pi
 
 
 def mujoco() -> Any:
-    """The library; raises InputError where it is not installed."""
+    """The library MuJoCo; raises InputError where it is not installed."""
     try:
         import mujoco as library
     except ImportError as error:
@@ -63,16 +63,16 @@ def mujoco() -> Any:
     return library
 
 
-# A model as an MJCF.
+# Export of a model as an MJCF.
 
 @dataclass(frozen=True)
 class Friction:
-    """A friction law in MuJoCo's words: ``frictionloss`` and ``damping`` of one joint with standard deviations.
+    """A friction law in MuJoCo's terms: ``frictionloss`` and ``damping`` of one joint with standard deviations.
 
     Attributes:
         loss, damping: [N m, N m s/rad].
         loss_std, damping_std: their standard deviations.
-        off: largest difference from the law between the speeds that count [N m].
+        off: largest difference from the law over the used speeds [N m].
     """
 
     loss: float
@@ -83,7 +83,7 @@ class Friction:
 
 
 def friction_of(model: Model, joint: int) -> Friction:
-    """The two terms nearest to a joint's law over its speeds, exactly those of a law that has no others.
+    """MuJoCo's two terms nearest to a joint's law over its speeds; exact for a law without other terms.
 
     Args:
         model, joint: the model, and the joint counted from 0.
@@ -93,7 +93,7 @@ def friction_of(model: Model, joint: int) -> Friction:
     fastest = limit if 0.0 < limit < 1e6 else USUAL_SPEED
     speed = np.linspace(SLOW, FAST, 40)[:, None] * fastest
     speed = np.concatenate([-speed[::-1], speed])
-    # Without load and behind the presliding, as fast motion has them.
+    # Without load and after presliding, as in fast motion.
     columns = coefficient_columns(law, speed, None, None)
     terms = np.column_stack([np.sign(speed), speed])
     to_terms = np.linalg.pinv(terms) @ columns
@@ -106,7 +106,7 @@ def friction_of(model: Model, joint: int) -> Friction:
 
 
 def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) -> tuple[str, ...]:
-    """Writes what was identified as an MJCF, each number with its standard deviation in a comment.
+    """Writes the identified model as an MJCF, each number with its standard deviation in a comment.
 
     Bodies get the identified inertias, joints ``armature``, ``frictionloss`` and ``damping``, and where the controller
     is known two actuators each: one of position, one of the command's speed. All else is kept.
@@ -153,7 +153,7 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
                            f"{servo.damping:.5g} ± {servo.damping_std:.2g}")
     cycle = _explicit_cycle(model)
     if cycle is not None:
-        # A drive takes the rate of the cycle before; implicit steps take that of the next, which acts as an inertia.
+        # A drive uses the rate of the cycle before; implicit steps use that of the next, which would act as an inertia.
         spec.option.integrator = library.mjtIntegrator.mjINT_EULER
         spec.option.timestep = min(spec.option.timestep, cycle)
     if share := _gravity_share(_servos(model)):
@@ -179,7 +179,7 @@ def _read_urdf(library: Any, text: str) -> tuple[Any, Any]:
     """A URDF's description and its compiled model, without its meshes; links may be without a mass in it."""
     spec = library.MjSpec.from_string(without_meshes(text))
     given = spec.compiler.boundmass, spec.compiler.boundinertia
-    # MuJoCo refuses moving bodies without inertia, which get the identified one after this.
+    # MuJoCo rejects moving bodies without inertia; the identified inertia is set afterwards.
     spec.compiler.boundmass, spec.compiler.boundinertia = LEAST, LEAST
     compiled = spec.compile()
     spec.compiler.boundmass, spec.compiler.boundinertia = given
@@ -224,7 +224,7 @@ def _follow(library: Any, spec: Any, kinematics: pin.Model, names: list[str]) ->
 def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list[str]:
     """Their names of our joints: the same, all of them with one word before, or the only ones that end so."""
     before = {other.removesuffix(own[0]) for other in theirs if other.endswith(own[0])}
-    # Fingers have joints of the same names behind another word, not all of them.
+    # Gripper joints have the same names with another prefix, but not all of them.
     whole = sorted(word for word in before if {word + name for name in own} <= set(theirs))
     if whole and (len(whole) == 1 or whole[0] == ""):
         return [whole[0] + name for name in own]
@@ -243,7 +243,7 @@ def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list
 def _frames(library: Any, compiled: Any, names: list[str], kinematics: pin.Model, file: str | Path | None
             ) -> list[pin.SE3]:
     """Where our joint frames are in the bodies that carry these joints, both with all joints at zero."""
-    # Theirs stand at zero whatever they follow.
+    # The angles of the MJCF are zero at its own reference, whatever the couplings.
     motions, free = joint_motions(kinematics), without_followers(kinematics)
     data, own = library.MjData(compiled), free.createData()
     for name in names:
@@ -324,7 +324,7 @@ def _set_inertia(body: Any, inertia: pin.Inertia) -> None:
     body.ipos = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
     body.iquat, body.inertia = [1.0, 0.0, 0.0, 0.0], np.zeros(3)
     moments = inertia.inertia
-    # NaN stands for none given.
+    # NaN means that none is given.
     body.fullinertia = np.full(6, np.nan) if inertia.mass == 0.0 else [
         moments[0, 0], moments[1, 1], moments[2, 2], moments[0, 1], moments[0, 2], moments[1, 2]]
 
@@ -350,11 +350,11 @@ def _like(old: Any, value: float) -> Any:
 
 
 def rotor_std(model: Model) -> Array:
-    """Standard deviation of each rotor inertia ``(n,)`` [kg m²], of those that only show together with links, too.
+    """Standard deviation of each rotor inertia ``(n,)`` [kg m²], also of those determined only in a sum with links.
 
-    The links are off their description as those of another arm of the type are, or by as much more as the identified
-    parameters are; of rotors nothing is known beforehand: ``(G Σ G' + C)`` is what the parameters differ by, with G the
-    grouping and C their covariance.
+    The links' deviations have the prior of another arm of the type, or a larger one if the identified parameters need
+    it; rotors have no prior. ``(G Σ G' + C)`` is the covariance of the parameters' deviations, with G the grouping and
+    C their covariance.
     """
     base, layout = model.base, model.base.layout
     nominal = np.concatenate([link_parameters(model.kinematics), model.rotor_inertia, np.zeros(model.n)])
@@ -369,7 +369,7 @@ def rotor_std(model: Model) -> Array:
     prior = np.diag(spread) + links.T @ links
     G, C = base.grouping, model.covariance[: base.count, : base.count]
     off = model.base_values - base.of(nominal)
-    # The scale of the links' spread by which the parameters are as far off as they are.
+    # The scale of the links' spread that explains the parameters' deviations.
     for _ in range(3):
         whole = G @ prior @ G.T + C
         larger = max(1.0, float(off @ np.linalg.solve(whole, off)) / base.count)
@@ -537,7 +537,7 @@ def urdf_with_dynamics(model: Model) -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-# An MJCF as a model.
+# Import of an MJCF as a model.
 
 @dataclass(frozen=True)
 class MujocoArm:
@@ -546,7 +546,7 @@ class MujocoArm:
     Attributes:
         robot: its kinematics and limits.
         model: its inertias, rotors and friction as a model; nothing of it is identified.
-        left_out: what of it the model does not hold, in words.
+        left_out: parts of it that the model does not have, in words.
     """
 
     robot: Robot
@@ -555,7 +555,7 @@ class MujocoArm:
 
 
 def arm_of_mjcf(path: str | Path) -> MujocoArm:
-    """The longest chain of joints of a MuJoCo model as an arm and its model; other joints are held.
+    """The longest chain of joints of a MuJoCo model as an arm and its model; other joints are fixed.
 
     Raises InputError: MuJoCo is missing, no readable model, or one without a chain of joints that turn or slide.
     """
@@ -577,7 +577,7 @@ def arm_of_mjcf(path: str | Path) -> MujocoArm:
     base = base_parameters(robot.pinocchio)
     friction = PerJointFriction([ViscousCoulomb(np.array([[v], [c]])) for v, c in zip(damping, loss, strict=True)])
     values = base.of(full)
-    # Numbers are as they are written: known, but for rounding.
+    # Numbers of the file are exact up to rounding.
     covariance = np.diag((WRITTEN * (1.0 + np.abs(parameter_vector(values, friction)))) ** 2)
     model = Model(nominal.arm, base, values, friction, covariance, full, np.zeros(robot.n),
                   provenance={"method": "MuJoCo model", "file": str(path)})
@@ -602,7 +602,7 @@ def _chain(library: Any, compiled: Any, path: str | Path) -> list[int]:
             here = int(compiled.body_parentid[here])
         if len(joints) > len(best) and all(int(compiled.jnt_type[j]) in single for j in joints):
             best = joints[::-1]
-    # Fingers end the chain: of joints that slide behind those that turn a gripper is made.
+    # A gripper ends the chain: prismatic joints after revolute ones are its fingers.
     while len(best) > 1 and compiled.jnt_type[best[-1]] != compiled.jnt_type[best[-2]]:
         best.pop()
     if not best:
@@ -618,7 +618,7 @@ def _mimics(library: Any, compiled: Any, chain: list[int]) -> dict[int, dict[str
         offset, ratio, *bent = compiled.eq_data[k][:5]
         if (compiled.eq_type[k] == library.mjtEq.mjEQ_JOINT and compiled.eq_active0[k]
                 and {follower, leader} <= set(chain) and not np.any(bent)):
-            # MuJoCo counts from where the joints stand in the description.
+            # MuJoCo's angles start from the pose in the description.
             zeros = compiled.qpos0[[compiled.jnt_qposadr[follower], compiled.jnt_qposadr[leader]]]
             found[follower] = {"joint": _name(compiled, chain, leader), "multiplier": f"{ratio:.12g}",
                                "offset": f"{offset + zeros[0] - ratio * zeros[1]:.12g}"}

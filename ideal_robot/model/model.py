@@ -1,4 +1,4 @@
-"""The identified dynamic model of an arm: what precorrection inverts and what diagnosis subtracts."""
+"""The identified dynamic model of an arm, which precorrection inverts and diagnosis subtracts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Model(Summarised):
         noise_std: standard deviation of the residual on the estimation data ``(n,)`` [N m].
         controller: the joint controllers, or None.
         gears: their stiffness and damping, or None.
-        effects: what diagnosis added, with the evidence for each.
+        effects: effects that diagnosis added, with the evidence for each.
         command: which command makes the arm move so, behind whatever controller; or None.
         provenance: recordings (source, hash), method, cut-offs, errors, warnings, version.
     """
@@ -71,7 +71,7 @@ class Model(Summarised):
             object.__setattr__(self, name, array)
 
     def summary(self) -> list[tuple[str, str]]:
-        """What it is, and what was added to it."""
+        """Main properties and added effects as rows of label and value."""
         known = [name for name, part in (("controller", self.controller), ("stiffness", self.gears))
                  if part is not None]
         effects = ", ".join(f"{effect.name} of joint {effect.joint}" for effect in self.effects[:6])
@@ -86,7 +86,7 @@ class Model(Summarised):
         return self.friction.n
 
     def units(self, unit: str) -> tuple[str, ...]:
-        """A unit of each joint, e.g. "N m": as it is where it turns, "N" where it slides, of amperes ``(n,)``."""
+        """A unit for each joint, e.g. "N m": unchanged for revolute joints, "N" for prismatic ones ``(n,)``."""
         amperes = self.provenance.get("amperes", ())
         return tuple(unit_in_amperes(own) if j + 1 in amperes else own
                      for j, own in enumerate(joint_units(unit, self.kinematics)))
@@ -95,23 +95,23 @@ class Model(Summarised):
     def rotor_inertia(self) -> Array:
         """Rotor inertias reflected to the joint side ``(n,)`` [kg m²].
 
-        Where the arm's motion cannot tell one from a link inertia it is the physically consistent choice that counts.
+        Where the motion cannot separate one from a link inertia it is the physically consistent choice.
         """
         return self.consistent[self.base.layout.rotors]
 
     @property
     def by_law(self) -> bool:
-        """Whether the command's law says how the arm answers its commands: it predicts them better than [G]'s loop."""
+        """Whether the command's law is used, as it predicts commands better than [G]'s loop."""
         return self.command is not None and (self.command.leads or self.controller is None)
 
     @property
     def known_stiffness(self) -> Array | None:
-        """Stiffness of the gears, rigid where nobody knows it ``(n,)`` [N m/rad], or None."""
+        """Stiffness of the gears, rigid where it is unknown ``(n,)`` [N m/rad], or None without gears."""
         return None if self.gears is None else self.gears.rigid_if_unknown
 
     @property
     def known_compliance(self) -> Array | None:
-        """Compliance of the gears, zero where nobody knows it ``(n,)`` [rad/(N m)], or None."""
+        """Compliance of the gears, zero where it is unknown ``(n,)`` [rad/(N m)], or None without gears."""
         return None if self.gears is None else self.gears.compliance
 
     @property
@@ -155,7 +155,7 @@ class Model(Summarised):
         return chain_of(self._exact_model)
 
     def rigid_body(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Torque ``(N, n)`` [N m] of the links alone: what the gears transmit. No rotors, friction, offsets.
+        """Torque ``(N, n)`` [N m] of the links alone, which the gears transmit; without rotors, friction, offsets.
 
         Args:
             q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
@@ -171,8 +171,8 @@ class Model(Summarised):
         Args:
             q, qd, qdd: positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²], consecutive in time:
                 friction may have memory.
-            t: times ``(N,)`` [s]; only effects with memory or warm-up look at them. One interpolation cycle apart if
-                not given.
+            t: times ``(N,)`` [s]; only effects with memory or warm-up use them. One interpolation cycle apart if not
+                given.
             temperature: gear temperatures ``(N, n)`` [°C], where known.
             cutoff: of the filter that measured positions went through [Hz]; None for exact ones.
             direction: of sliding ``(N, n)``, -1 to 1, of who has followed the joints for longer than these positions.
@@ -185,7 +185,7 @@ class Model(Summarised):
         if acting:
             cycle = self.controller.t_cycle if self.controller else 0.012
             times: Array = np.asarray(cycle * np.arange(len(q)) if t is None else t, dtype=float)
-            # The regressor of the last link is what takes time: a payload alone asks for it.
+            # The regressor of the last link is expensive, so it is computed only for a payload.
             body = self._body_on(0, q, qd, qdd) if any(effect.joint == 0 for effect in acting) else None
             still = np.zeros_like(q)
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
@@ -216,7 +216,7 @@ class Model(Summarised):
         return regressor(self.kinematics, q, qd, qdd)[:, :, self.base.layout.carried_by(link)]
 
     def predict(self, recording: Recording) -> Prediction:
-        """Torque the model expects for a recording, with its uncertainty, beside what was measured.
+        """Predicted torque of a recording with its uncertainty, beside the measured one.
 
         Raises InputError for another joint count, missing columns, a recording that is too short.
         """
@@ -226,7 +226,7 @@ class Model(Summarised):
         used = self.provenance.get("filters", {})
         even = evenly_sampled(recording, columns=bool(self.effects))
         signals = even.filtered(used.get("cutoff"), used.get("cutoff_decimation"))
-        # The spread of the parameters needs no filtering: it is taken at the decimated instants.
+        # The parameters' spread needs no filtering: it is computed at the decimated instants.
         q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
         columns = self.sensitivity(q, qd, qdd)
         of_parameters = np.einsum("knp,pr,knr->kn", columns, self.covariance, columns, optimize=True)
@@ -236,7 +236,7 @@ class Model(Summarised):
     def sensitivity(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Derivative of the torque with respect to the parameter vector, ``(N, n, P)``; effects are left out.
 
-        In the linear parameters this is the regressor. The load, where a friction law looks at it, is taken as given.
+        In the linear parameters this is the regressor. The load, if a friction law uses it, is not differentiated.
 
         Args:
             q, qd, qdd: positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²], consecutive in time.
@@ -246,7 +246,7 @@ class Model(Summarised):
 
     @classmethod
     def nominal(cls, robot: Robot) -> Model:
-        """The model a data sheet gives: the URDF's inertias, the data file's rotor inertias, no friction."""
+        """The model of a data sheet: the URDF's inertias, the data file's rotor inertias, no friction."""
         n = robot.n
         base = base_parameters(robot.pinocchio)
         full = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(n)])
@@ -260,14 +260,14 @@ class Model(Summarised):
         return dataclasses.replace(self, effects=self.effects + tuple(effects))
 
     def require_torques(self) -> None:
-        """Raises InputError where parameters are in amperes, which are no masses: no drive gain was known."""
+        """Raises InputError where parameters are in amperes, as no drive gain was known."""
         if amperes := self.provenance.get("amperes"):
             raise InputError("the parameters of joint" + "s" * (len(amperes) > 1) + f" {', '.join(map(str, amperes))} "
                              "are in amperes; give drive gains (torque_constant in the robot's TOML) and identify "
                              "again", field="model", value=self.arm.name)
 
     def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
-        """Raises InputError for a robot that this is no model of: other joints, or joints at other places."""
+        """Raises InputError for a robot of another arm: other joints, or joints at other places."""
         if difference := self.arm.difference(robot):
             raise InputError(f"{difference}; give the model that was identified for this arm", file=file, field="model",
                              value=self.arm.name)
@@ -296,7 +296,7 @@ class Model(Summarised):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], *, file: Path | str | None = None) -> Model:
-        """Reads what ``to_dict`` wrote; raises InputError, with the ``file`` they come from, if values are missing."""
+        """Makes a model from the values of ``to_dict``; raises InputError, with ``file``, if values are missing."""
         try:
             base = values["base"]
             arm = DescribedArm(values["robot"]["name"], values["robot"]["urdf"], values["robot"]["urdf_hash"])
@@ -322,7 +322,7 @@ class Model(Summarised):
         return model
 
     def save(self, path: str | Path) -> Path:
-        """Writes the model as JSON; nothing is left half-written."""
+        """Writes the model as JSON, whole or not at all."""
         return write_values(Path(path), self.to_dict())
 
     @classmethod
@@ -331,7 +331,7 @@ class Model(Summarised):
         return cls.from_dict(read_values(Path(path)), file=path)
 
     def export_urdf(self, path: str | Path) -> Path:
-        """Writes the URDF with the physically consistent inertias; what is fixed to a link is merged into it."""
+        """Writes the URDF with the physically consistent inertias; links fixed to another are merged into it."""
         self.require_torques()
         links = self.consistent[self.base.layout.links]
         return write_text(path, urdf_with_inertials(self.arm.urdf, self.kinematics, links))

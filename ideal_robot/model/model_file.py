@@ -1,6 +1,6 @@
-"""The model file: JSON with a schema version (docs/files.md), and whether what it holds fits together.
+"""The model file: JSON with a schema version (docs/files.md), and the check of its consistency.
 
-What stands in it is ``Model.to_dict``'s business.
+Its content is defined by ``Model.to_dict``.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ SCHEMA = 1
 
 
 def write_values(path: Path, values: dict[str, Any]) -> Path:
-    """Writes plain values; nothing is left half-written."""
-    # One line per entry: still to be read by people, and the covariance does not fill thousands of lines.
+    """Writes plain values as a model file, whole or not at all."""
+    # One line per entry, so that people can read it and the covariance does not fill thousands of lines.
     lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in values.items()]
     return write_text(path, "{" + ",\n ".join(lines) + "}\n")
 
@@ -52,8 +52,8 @@ def read_values(path: Path) -> dict[str, Any]:
 def urdf_with_inertials(urdf: str, kinematics: pin.Model, parameters: Array) -> str:
     """The URDF text with the links' inertials replaced.
 
-    A link that is fixed to a moving one is merged into it, so its own inertial is taken out. What does not move at all
-    stays as it is.
+    A link that is fixed to a moving one is merged into it, so its own inertial is removed. Links that do not move are
+    unchanged.
 
     Args:
         urdf, kinematics: text of the URDF, and its Pinocchio model.
@@ -106,9 +106,10 @@ _SLOWEST_FILTER = 0.1
 
 
 def require_consistent(model: Any, file: Path | str | None = None) -> None:
-    """Refuses a ``Model`` as read (not named as its type: ``Model`` itself calls this) whose parts do not fit together.
+    """Raises InputError for a ``Model`` whose parts do not fit together.
 
-    Raises InputError with the file it comes from, the key, what was expected and what was found.
+    The message has the file, the key, the expected and the found value. ``Model`` itself calls this, so its type is not
+    named.
     """
     _texts(model, file)
     n, b = int(model.kinematics.nv), len(model.base.independent)
@@ -192,7 +193,7 @@ def _covariance(covariance: np.ndarray, file: Path | str | None) -> None:
 
 
 def require_controller(controller: ControllerModel, n: int, file: Path | str | None = None) -> None:
-    """Raises InputError for numbers that no model file may have for a controller: names the key and what was expected.
+    """Raises InputError for impossible numbers of a controller in a model file; names the key and the expected range.
 
     Args:
         controller, n: of the joints, and how many there are.
@@ -258,7 +259,7 @@ def _effects(model: Any, n: int, file: Path | str | None) -> None:
         if effect.learned:
             continue
         most = len(effect.coefficient_names)
-        # Of a sensor's effect a recording may show the first coefficients only.
+        # A recording may determine only the first coefficients of a sensor's effect.
         least = 1 if effect.domain == SENSOR else most
         if not effect.complete(fitted.theta) or not least <= len(fitted.coefficients) <= most:
             raise InputError(f"expected {'up to ' if least < most else ''}{most} coefficients and "

@@ -1,4 +1,4 @@
-"""The parameter vector of an identified arm and how the torque depends on it.
+"""The parameter vector of an identified arm, and the derivatives of the torque by it.
 
 Order: base parameters (rotor inertias and offsets among them), then for each joint the coefficients of its friction
 law, then for each joint the law's shape parameters, in which the torque is not linear.
@@ -30,7 +30,7 @@ class Parameter:
         joint: joint it belongs to, from 1.
         value, std: estimate and standard deviation.
         unit: its unit.
-        meaning: the sum of link parameters a base parameter stands for, or the friction law.
+        meaning: sum of link parameters of a base parameter, or the friction law.
     """
 
     name: str
@@ -58,7 +58,7 @@ def parameter_vector(base_values: Array, friction: PerJointFriction) -> Array:
 
 
 def friction_places(base: BaseParameters, friction: PerJointFriction) -> list[slice]:
-    """Where the coefficients of each joint's friction law stand in the parameter vector."""
+    """Slices of the parameter vector with the coefficients of each joint's friction law."""
     ends = base.count + np.cumsum([0, *(len(law.coefficients) for law in friction.laws)])
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
@@ -115,7 +115,10 @@ def coefficient_columns(law: FrictionModel, qd: Array, load: Array | None, q: Ar
 
 
 def shape_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
-    """See ``coefficient_columns``. Derivative ``(N, s)`` of the torque by the law's shape, by central differences."""
+    """Derivative ``(N, s)`` of the torque of a one-joint law by its shape, by central differences.
+
+    See ``coefficient_columns``.
+    """
     result = np.empty((len(qd), len(law.shape)))
     for i in range(len(law.shape)):
         step = np.zeros_like(law.shape)
@@ -141,7 +144,7 @@ class ControllerModel:
         t_cycle: the cycle the gains belong to [s]: the interpolation cycle.
         k_p, k_d, k_1, k_2: [N m/rad], [N m s/rad], [N m s/rad], [N m s²/rad].
         k_i: integral gain per cycle [1].
-        filter_time: time constant of the low-pass the controller puts on commands [s]; 0 where none was found.
+        filter_time: time constant of the controller's low-pass for commands [s]; 0 for none.
         filter_order: number of equal first-order stages of that low-pass.
         delay: dead time from the hand-over of a command to its effect, beyond the filter [s].
         integrated: share of all but ``k_p e`` that the integrator gets: 1 of [G]'s, 0 of PID control of the position.
@@ -149,11 +152,11 @@ class ControllerModel:
             the torque, with ṙ of the command behind its low-pass [N m, rad/s]; None for none.
         schedule: share g in which all gains but ``k_i`` follow the inertia J that a joint moves by the data sheet, its
             rotor's included, as ``1 + g (J / J_0 - 1)``.
-        coupled: whether loops ask for accelerations (inverse dynamics): the data sheet's mass matrix, its columns over
-            J_0, then makes torques of what they say.
+        coupled: whether the loops command accelerations (inverse dynamics), which the data sheet's mass matrix, its
+            columns over J_0, converts to torques.
         scheduled_at: J_0 [kg m²]; None where gains are the same everywhere.
         rate_filter: time constant of the lag that rates of the command pass, each [s].
-        acceleration: what the command's second rate is multiplied with in u [N m s²/rad]; None for none.
+        acceleration: factor of the command's second derivative in u [N m s²/rad]; None for none.
         bodies: share of the data sheet's gravity and Coriolis torques that is added to the torque; None for none.
         std: standard deviations by field name, where known.
         spread: of a controller that was not identified, how far its cascade's numbers may be from these
@@ -212,7 +215,7 @@ class Prediction(Summarised):
     measured: Array
 
     def summary(self) -> list[tuple[str, str]]:
-        """How far the model is from what was measured."""
+        """Deviation of the model from the measurement as rows of label and value."""
         samples, joints = self.tau.shape
         return [("torques", f"{joints} joints, {samples} samples"),
                 ("relative error", listed(self.relative_error_percent, "%"))]
@@ -232,6 +235,6 @@ class Prediction(Summarised):
 
 
 def joined(predictions: Sequence[Prediction]) -> Prediction:
-    """Predictions of several recordings one behind the other."""
+    """Predictions of several recordings concatenated."""
     return Prediction(*(np.concatenate([getattr(prediction, entry.name) for prediction in predictions])
                         for entry in fields(Prediction)))

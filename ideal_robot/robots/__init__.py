@@ -1,4 +1,4 @@
-"""What the makers of arms say: kinematics, nominal inertias, drive data; and here, which arms there are."""
+"""Arms as their makers describe them: kinematics, nominal inertias, drive data; and the list of shipped arms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def urdf_of(name_or_urdf: str | Path) -> Path:
     if urdf.suffix == ".toml":
         raise InputError("expected a shipped robot or a URDF; drive data (TOML) go to --drive-data", field="robot",
                          value=str(name_or_urdf))
-    # A name that is too long is no file either, not an error of the system.
+    # Also for a name that is too long, where the system would raise another error.
     if not os.path.isfile(urdf):
         raise InputError(f"no such URDF file, nor a shipped robot; shipped are {', '.join(SHIPPED)}",
                          field="urdf", value=str(name_or_urdf))

@@ -1,4 +1,4 @@
-"""Where a device is: ``scheme://host:port/path?name=value``."""
+"""Addresses of devices: ``scheme://host:port/path?name=value``."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _SHOWN = 80
 
 @dataclass(frozen=True)
 class Address:
-    """An address, taken apart.
+    """The parts of an address.
 
     Attributes:
-        scheme: what stands before the colon.
+        scheme: text before the colon.
         host: empty where none is given.
         port: None where none is given.
         path: with its first slash; empty where none is given.
-        options: what stands behind the question mark.
+        options: entries after the question mark.
         text: the whole, for messages.
         option: the command line's name of it, for messages.
     """
@@ -66,14 +66,14 @@ class Address:
         return cls(parts.scheme, parts.hostname or "", port, unquote(parts.path), dict(pairs), text, option)
 
     def at(self, port: int, host: str | None = None) -> tuple[str, int]:
-        """Host and port, where none are given the usual ones; InputError for no host where there is no usual one."""
+        """Host and port with their defaults; InputError where a host is missing and there is no default."""
         if not (self.host or host):
             raise InputError(f"expected an address with a host such as {self.scheme}://192.168.1.30", field=self.option,
                              value=self.text[:_SHOWN])
         return self.host or str(host), self.port or port
 
     def knows(self, *names: str) -> None:
-        """Raises InputError where an option has another name than these."""
+        """Raises InputError for an option of the address that is not among these names."""
         for name in self.options:
             if name not in names:
                 known = f"expected {', '.join(names)}" if names else "this interface has no options"
@@ -84,7 +84,7 @@ class Address:
 
         Args:
             name: of the option.
-            usual: what it is where it is not given.
+            usual: default value.
             low, high: limits, themselves allowed.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What an arm of a reach weighs and how fast its joints turn: the table that URDFs are judged by."""
+"""Typical masses and speeds of arms by their reach, with which URDFs are compared."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ SLIDING_SPEED = 1.0
 
 
 def class_of(values: tuple[float, ...], size: float) -> float:
-    """A row of the table at a reach [m], interpolated between logarithms; at its ends held."""
+    """A row of the table at a reach [m], interpolated logarithmically; constant beyond its ends."""
     return float(np.exp(np.interp(math.log(max(size, 1e-6)), np.log(REACH), np.log(values))))

@@ -1,4 +1,4 @@
-"""From a public URDF to the serial arm in it: grippers and what is beside the chain are held, turns get limits."""
+"""Makes a serial arm of a public URDF: other joints, such as grippers, are fixed, missing limits are added."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class SerialArm:
     Attributes:
         text: of the URDF; the very text that was read where nothing had to be changed.
         tool: link at the chain's end.
-        changed: what was made of the joints, in words.
+        changed: changes of the joints, in words.
     """
 
     text: str
@@ -53,16 +53,16 @@ class SerialArm:
 
 
 def serial_arm(text: str, file: str | Path | None = None, tool: str | None = None) -> SerialArm:
-    """The chain of joints from base to tool; every other joint is held, at zero or at its nearest limit.
+    """The chain of joints from base to tool; every other joint is fixed, at zero or at its nearest limit.
 
-    A joint of the chain that follows another one of it goes on doing so (``ideal_robot.robots.joints``).
+    A joint that is coupled to another one of the chain stays so (``ideal_robot.robots.joints``).
 
-    Raises InputError for no URDF, and for joints that follow none, or each other in a circle.
+    Raises InputError for no URDF, and for couplings to missing joints or in a circle.
 
     Args:
         text, file: of the URDF, and where it comes from, for messages.
-        tool: link that the chain leads to; without a word the longest chain is taken, up to where a gripper forks, and
-            the first of several that are as long.
+        tool: link that the chain leads to; by default the longest chain, up to the fork of a gripper; the first of
+            several equally long ones.
     """
     check_text(text, file)
     with found_in(file):
@@ -102,7 +102,7 @@ class _Tree:
         roots = [link for link in self.children if link not in joints]
         self.root = roots[0] if len(roots) == 1 else ""
         self._depth: dict[str, int] = {}
-        # What Pinocchio refuses with words of its own, loops and several roots, is left to it.
+        # Loops and several roots are left to Pinocchio, which reports them itself.
         self.sound = bool(self.root) and self._measure()
 
     def _measure(self) -> bool:
@@ -160,7 +160,7 @@ class _Tree:
         for end in self._behind(link):
             path = self.path(end)[len(self.path(link)):]
             moved = sum(map(self.moves, path))
-            # Where several branches follow, a tool is put on one of them.
+            # If several branches follow, the one with a tool is preferred.
             rank = (any(_named_for_tools(one) for one in self.fixed_beyond(end)), moved)
             if moved and self.moves(path[-1]) and rank > most:
                 best, most = end, rank
@@ -235,7 +235,7 @@ def _following(tree: _Tree, chain: list[ET.Element]) -> list[str]:
             _hold(joint, offset)
             continue
         if id(root) not in leaders:
-            # q' = ratio q + offset, so that what it follows is at (q' - offset) / ratio.
+            # q' = ratio q + offset, so the leader is at (q' - offset) / ratio.
             leaders[id(root)] = _Followed(joint, 1.0 / ratio, -offset / ratio)
             if mimic is not None:
                 joint.remove(mimic)
@@ -261,7 +261,7 @@ def in_order(root: ET.Element) -> list[ET.Element]:
 
 
 def drives(joint: ET.Element) -> bool:
-    """Whether a joint of a URDF moves on its own and is no gripper's."""
+    """Whether a joint of a URDF moves on its own and does not belong to a gripper."""
     return joint.get("type") != "fixed" and joint.find("mimic") is None and not _of_gripper(joint)
 
 
@@ -313,11 +313,11 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
     beyond = _placed(tree.path(link), moving[-1])
     back = _placed(tree.path(_link(moving[-1], "child")), moving[-2])
     along = _axis(moving[-1])
-    # The last joint's angle turns about the axis alone: what lies along it is the same at every angle.
+    # The last joint only rotates about its axis: displacements along it do not depend on its angle.
     length = float(along @ (beyond.translation + back.rotation.T @ back.translation))
     carried = beyond.translation
     if link == _link(moving[-1], "child") and np.linalg.norm(carried) < _SHORT:
-        # No frame is drawn for a tool: where the last link has its weight.
+        # The tool has no frame: its place is the centre of mass of the last link.
         carried = _carried(root, tree, link)
     beside = carried - along * (along @ carried)
     aside = float(np.linalg.norm(beside))

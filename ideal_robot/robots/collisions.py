@@ -1,4 +1,4 @@
-"""Whether an arm touches itself, its base plane, a surface or boxes: the URDF's shapes, capsules where it has none."""
+"""Checks an arm for contact with itself, its base plane, a surface or boxes: by the URDF's shapes, or capsules."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Obstacle:
     size: tuple[float, float, float]
 
     def edges(self) -> Array:
-        """A way along all its edges, some of them twice ``(16, 3)`` [m]."""
+        """A polyline along all edges of the box, some of them twice ``(16, 3)`` [m]."""
         around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
         low, high = (np.column_stack([around, np.full(5, z)]) for z in (-1, 1))
         rest = np.array([[1, -1, 1], [1, -1, -1], [1, 1, -1], [1, 1, 1], [-1, 1, 1], [-1, 1, -1]])
@@ -55,11 +55,11 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Touch:
-    """Where an arm touches something.
+    """A contact of an arm with itself or an obstacle.
 
     Attributes:
-        row: of the postures that were looked at.
-        one, other: what touches, in words.
+        row: row of the checked postures.
+        one, other: names of the two bodies.
     """
 
     row: int
@@ -71,7 +71,7 @@ class Touch:
 
 
 class Shapes:
-    """The arm's shapes in its cell.
+    """The arm's shapes and obstacles in its cell.
 
     Args:
         robot: the arm, base plane z = 0.
@@ -99,7 +99,7 @@ class Shapes:
         self._found = pin.GeometryData(self._geometry)
 
     def first_touch(self, q: Array) -> Touch | None:
-        """The first of postures ``(N, n)`` [rad] in which something touches; None where nothing does."""
+        """The first of postures ``(N, n)`` [rad] with a contact; None without any."""
         model = self._robot.pinocchio
         for row, posture in enumerate(q):
             if pin.computeCollisions(model, self._data, self._geometry, self._found, posture, True):
@@ -111,7 +111,7 @@ class Shapes:
         return None
 
     def touch_between(self, start: Array, end: Array) -> Touch | None:
-        """The first touch on the straight way of the joints between two postures ``(n,)`` [rad]; None without one."""
+        """The first contact on the straight joint motion between two postures ``(n,)`` [rad]; None without one."""
         return self.first_touch(start + np.linspace(0.0, 1.0, ON_THE_WAY)[:, None] * (end - start))
 
     def _between(self, first: int, last: int) -> float:
@@ -134,7 +134,7 @@ class Shapes:
                 continue
             turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length).matrix()
             capsule = coal.Capsule(self._radius, max(length - self._radius, 1e-3))
-            # Shorter at its own joint: there the capsule lies inside the previous link and would always collide.
+            # The capsule starts away from its joint, as it would overlap the previous link there.
             place = pin.SE3(turn, np.asarray(end) * (0.5 + 0.5 * self._radius / length))
             links.append((joint, self._add(f"link {joint}", joint, place, capsule)))
         return links
@@ -150,7 +150,7 @@ class Shapes:
         below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * BOARD]))
         table = self._add(SURFACE, 0, surface * below, coal.Box(*size, BOARD))
         for joint, number in links:
-            # What carries the tool is as near to the surface as the tool is short.
+            # The last links are not checked against the surface, as they are close to it with a short tool.
             if 1 < joint < last - 1:
                 self._geometry.addCollisionPair(pin.CollisionPair(number, table))
 

@@ -1,4 +1,4 @@
-"""The manufacturer's positional interface, and nothing else of the controller."""
+"""The manufacturer's positional interface, the only access to the controller."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class RobotState:
         t: controller time at which ``q`` and ``tau`` were valid [s].
         q: motor angles on the joint side, shape ``(n,)`` [rad]. Not the arm angles: gears are elastic ([L] 2.1).
         tau: motor torque on the joint side, measured current times drive gain, shape ``(n,)`` [N m].
-        columns: what else the controller reports, by the recording's name of the column: a number, or one a joint
-            ``(n,)``. The same names in every state of an arm.
+        columns: further reported quantities, by the recording's column names: a number, or one per joint ``(n,)``. The
+            same names in every state of an arm.
     """
 
     t: float
@@ -50,20 +50,20 @@ class RobotInterface(Protocol):
     """Interpolation cycle [s]: 12 ms for a KRC1 ([G] 5.2.1), 4 ms on newer controllers."""
 
     def cycle(self, q_c: Array) -> RobotState:
-        """Hands over the commanded joint angles ``q_c (n,)`` [rad] and waits one interpolation cycle.
+        """Sends the commanded joint angles ``q_c (n,)`` [rad] and waits one interpolation cycle.
 
         Returns the state at the end of the cycle.
         """
         ...
 
 
-# What any arm behind the positional interface refuses to be commanded.
+# Checks of every command to an arm behind the positional interface.
 
 def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Array:
     """A command that the controller accepts, as a new array ``(n,)``.
 
     Args:
-        robot, t_ipo: whose limits count, and the interpolation cycle [s].
+        robot, t_ipo: the arm with its limits, and the interpolation cycle [s].
         q_c, before: command, and that of the cycle before ``(n,)`` [rad].
 
     Raises:
@@ -91,8 +91,8 @@ def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Ar
 # Whether the measured arm does what was commanded, from the first packet on, and if not what the cause looks like.
 #
 # An arm under a position controller is, but for a tolerance, between the smallest and the largest of the commands of
-# the last while, which is as long as its loop needs to answer. Where it is not, the motion of the last cycles is held
-# against what each cause would make of the same commands.
+# the last while, which is as long as its loop needs to answer. If it is not, the motion of the last cycles is compared
+# with the prediction of each cause for the same commands.
 
 TOLERANCE = np.radians(0.3)
 """How far an arm may be outside its commands [rad] …"""
@@ -108,7 +108,7 @@ _ADDS_UP = "the controller adds up absolute corrections (--relative, or make its
 
 
 class FollowingWatch:
-    """Compares measured with commanded joint angles in every cycle.
+    """Compares measured with commanded joint angles in every cycle, to find an arm that does not follow.
 
     Args:
         n: number of joints.
@@ -120,7 +120,7 @@ class FollowingWatch:
         adds_up: whether the controller turned out to add up absolute corrections.
         missing: readings that could not be and were not used.
         tolerance: how far the arm may be outside its commands [rad].
-        rest: measured minus commanded at rest, before anything moved ``(n,)`` [rad].
+        rest: measured minus commanded at rest, before the first motion ``(n,)`` [rad].
     """
 
     def __init__(self, n: int, window: int, jump: Array, relative: bool) -> None:
@@ -130,21 +130,21 @@ class FollowingWatch:
         self._window, self._jump, self._relative = window, jump, relative
         self._commanded, self._measured, self._sum = np.zeros((rows, n)), np.zeros((rows, n)), np.zeros((rows, n))
         self._count = self._outside = self._jumped = 0
-        # Compiled code is loaded before an arm waits for it.
+        # A first call loads compiled code before an arm waits for it.
         _extremes(self._commanded, 0, 1)
 
     def begin(self, commanded: Array, measured: Array) -> None:
-        """The first packet: commanded and measured joint angles ``(n,)`` [rad], at rest."""
+        """Starts with the first packet's commanded and measured joint angles ``(n,)`` [rad], at rest."""
         self._commanded[:], self._measured[:], self._sum[:] = commanded, measured, 0.0
         self._start, self._last = commanded.copy(), measured.copy()
-        # At rest a controller holds the arm a little beside its command, which is no error of following.
+        # At rest a controller keeps the arm a little beside its command, which is not a following error.
         self.rest = measured - commanded
 
     def check(self, commanded: Array, measured: Array) -> str | None:
-        """One cycle: what is commanded now and what was measured ``(n,)`` [rad]. Returns what is wrong, if anything."""
+        """Checks one cycle's commanded and measured angles ``(n,)`` [rad]; returns the fault in words, if any."""
         leap = np.abs(measured - self._last)
         if (leap > self._jump * (1 + self._jumped)).any():
-            # One reading of its kind counts as missing; a second says that the arm, or its encoder, is elsewhere.
+            # One such reading is treated as missing; a second means that the arm, or its encoder, is elsewhere.
             self.missing, self._jumped = self.missing + 1, self._jumped + 1
             joint = int(np.argmax(leap / self._jump))
             return None if self._jumped < _PATIENCE else (
@@ -161,7 +161,7 @@ class FollowingWatch:
         return self.cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
 
     def stopping(self, commanded: Array, measured: Array) -> str | None:
-        """One cycle of braking: an arm that goes on under a command that stands still is one that adds it up."""
+        """Checks one cycle of braking; reports an arm that goes on moving, as if it summed constant commands up."""
         still = np.array_equal(commanded, self._commanded[0])
         self._commanded[0], step, self._last = commanded, measured - self._last, measured.copy()
         joint = int(np.argmax(np.abs(step)))
@@ -174,7 +174,7 @@ class FollowingWatch:
         return f"joint {joint + 1} goes on while its command stands still: {_ADDS_UP}"
 
     def cause(self, joint: int) -> str:
-        """What the motion of a joint in the last cycles looks like."""
+        """Likely cause, in words, of a joint's deviation from its commands in the last cycles."""
         order = (self._count + np.arange(len(self._commanded))) % len(self._commanded)
         commanded, measured = self._commanded[order], self._measured[order]
         total = self._sum[order, joint]
@@ -221,18 +221,19 @@ def _left(moved: Array, expected: Array) -> float:
     return min(shares)
 
 
-# Back to the commands that are wanted, from where and how fast the controller has the arm instead.
+# Returns from the controller's actual setpoint to the desired commands after a missed answer.
 #
-# What is sent is the wanted command plus an offset. Where an answer was missed the offset begins with the difference in
-# position ``o``, speed ``d`` and acceleration ``b`` between what the controller has in force and what is wanted, so
-# that the controller sees neither a jump nor a kink. Changes of acceleration ``u`` lead it to nothing in the fewest
-# cycles N in which speed, acceleration and its change keep their limits:
+# The sent command is the desired one plus an offset. After a missed answer the offset starts with the difference in
+# position ``o``, speed ``d`` and acceleration ``b`` between the controller's setpoint and the desired command, so that
+# the controller sees neither a jump nor a kink. Changes of acceleration ``u`` bring it to zero in the fewest cycles N
+# in which speed, acceleration and its change keep their limits:
 #
 # .. math:: \sum_{k=1}^{N} u_k^2 \to \min, \qquad b_k = b_{k-1} + u_k, \quad d_k = d_{k-1} + b_k, \quad
 #           o_k = o_{k-1} + d_k, \qquad o_N = d_N = b_N = 0
 #
-# All of it is linear in ``o, d, b`` and N is the same for all joints, so that they keep step and what is left of the
-# path is time alone. An offset that the longest plan does not lead back is led back by the share that it does.
+# All of it is linear in ``o, d, b`` and N is the same for all joints, so that they stay synchronous and the arm
+# deviates from the path only in time. If the longest plan cannot return the whole offset, it returns the largest
+# possible share.
 
 _RISE = 0.03
 """Time in which the acceleration may rise to its limit [s]: some cycles of the slowest controllers."""
@@ -249,10 +250,11 @@ _LONGER = 1.2
 
 
 class CatchUp:
-    """The offset of what is sent from what is wanted.
+    """The offset of sent commands from desired ones after a missed answer, which returns smoothly to zero.
 
     Args:
-        a_max: acceleration of the arm ``(n,)`` [rad/s²]; the offset may take half of it, less what is wanted beyond.
+        a_max: acceleration of the arm ``(n,)`` [rad/s²]; the offset uses at most half of it, less what the desired
+            commands exceed.
         v_max: speed the arm may reach with it ``(n,)`` [rad/s].
         t_ipo: cycle [s].
 
@@ -267,24 +269,24 @@ class CatchUp:
         self._left, self.active = 0, False
 
     def start(self, offset: Array, drift: Array, bend: Array, wanted: Array) -> None:
-        """Begins a way from another position and speed.
+        """Starts the return from another position and speed.
 
         Args:
-            offset, drift: position and speed in force minus those wanted in the last cycle ``(n,)`` [rad, rad a cycle].
-            bend: acceleration in force minus the one wanted in the coming cycle ``(n,)`` [rad a cycle²].
-            wanted: speed wanted in the last cycle ``(n,)`` [rad a cycle].
+            offset, drift: actual minus desired position and speed of the last cycle ``(n,)`` [rad, rad a cycle].
+            bend: actual minus desired acceleration of the coming cycle ``(n,)`` [rad a cycle²].
+            wanted: desired speed of the last cycle ``(n,)`` [rad a cycle].
         """
         self._state, self._wanted = np.array([offset, drift, bend]), wanted
         self._left, self.active = 0, True
 
     def next(self, wanted: Array) -> Array:
-        """Offset of the coming command ``(n,)`` [rad], for the speed wanted ``(n,)`` [rad a cycle]."""
+        """Offset of the coming command ``(n,)`` [rad], for the desired speed ``(n,)`` [rad a cycle]."""
         if self.active:
             speed, change = np.abs(wanted), np.abs(wanted - self._wanted)
             room = np.clip(self._most - change, 0.25 * self._most, 0.5 * self._most)
             faster = np.maximum(np.minimum(_FASTER * speed, self._fastest - speed), _CREEP * self._fastest)
             offset, drift, bend = self._state
-            # A speed that the offset has already is kept, too, where it has it.
+            # A larger speed that the offset already has is permitted, too.
             bend = bend + self._change(np.array([[-self._jerk, -room, np.minimum(-faster, drift)],
                                                  [self._jerk, room, np.maximum(faster, drift)]]))
             drift = drift + bend
@@ -303,7 +305,7 @@ class CatchUp:
         count = self._left or 3
         while count < len(self._plans):
             move = self._plans[count] @ self._state
-            # In less than three cycles a plan only ends.
+            # With fewer than three cycles the plan only ends.
             if count < 3 or ((low <= move) & (move <= high)).all():
                 self._left = count
                 return np.asarray(move[0, 0])
@@ -328,11 +330,11 @@ def _plans(longest: int) -> list[Array]:
     return plans
 
 
-# What arms behind the links of controllers have in common.
+# Common part of arms behind the links of controllers.
 
 @dataclass
 class LinkCounts:
-    """What happened on a link; a controller whose wire cannot show something leaves it 0.
+    """Statistics of a link; counts that a controller's protocol cannot show are 0.
 
     Attributes:
         cycles: packets that were an interpolation cycle of their own.
@@ -343,7 +345,7 @@ class LinkCounts:
         partial: messages without all of the arm's joints, as those of a gripper.
         refused: packets that are no message of a controller.
         foreign: packets of other senders.
-        implausible: measured positions that cannot be; they count as missing.
+        implausible: implausible measured positions, which are treated as missing.
     """
 
     cycles: int = 0
@@ -358,7 +360,7 @@ class LinkCounts:
 
 
 def cycles_since(number: int, before: int) -> int:
-    """Cycles between the numbers of two packets; numbers of 32 bits begin anew behind the last.
+    """Cycles between the numbers of two packets, with the overflow of 32-bit numbers.
 
     >>> cycles_since(2, 2**32 - 1), cycles_since(5, 7)
     (3, -2)
@@ -368,7 +370,7 @@ def cycles_since(number: int, before: int) -> int:
 
 def read_waiting(link: socket.socket, deadline: Deadline, taken: Callable[[bytes, Any], bool], size: int = 65536
                  ) -> bool:
-    """Reads what waits at a socket until nothing does, so that no packet's answer stays behind.
+    """Reads all packets waiting at a socket, so that no answer is left for later; false if the deadline passed.
 
     Args:
         link: of datagrams.
@@ -388,7 +390,7 @@ def read_waiting(link: socket.socket, deadline: Deadline, taken: Callable[[bytes
             packet, sender = link.recvfrom(size)
         except (BlockingIOError, TimeoutError):
             return found
-        except ConnectionError:  # what was sent before did not find anybody
+        except ConnectionError:  # an earlier datagram had no receiver
             continue
         found = taken(packet, sender) or found
 
@@ -419,9 +421,9 @@ Packet = TypeVar("Packet")
 class LinkedRobot(ABC):
     """A ``RobotInterface`` to an arm behind a link on which cycles may be missed.
 
-    Where one was missed, the next commands lead from what the controller has in force back to what is wanted. An
-    interface says what its packets are (``_handed_over``, ``_received``); what follows from them is the same for all:
-    ``_at_rest``, ``_bridged`` and ``_looked_at``.
+    After a missed one, the next commands move from the controller's actual setpoint back to the desired one. An
+    interface defines its packets (``_handed_over``, ``_received``); the rest is common: ``_at_rest``, ``_bridged`` and
+    ``_looked_at``.
 
     Args:
         robot: limits and cycle time.
@@ -433,20 +435,20 @@ class LinkedRobot(ABC):
         t_ipo: interpolation cycle [s].
         commanded: joint angles in force at the controller ``(n,)`` [rad].
         answer_times: from each packet's arrival to its answer [s].
-        fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
+        fault: why the arm does not follow its commands; None while it does. The caller then has to stop it.
         gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
         missed: whether the controller had to do without a command of ours since the last one.
         unanswered: states that came before the last one and too late for an answer, oldest first.
-        counts: what happened on the link.
+        counts: statistics of the link.
         arrived: when the last packet was read, by ``time.perf_counter`` [s].
         horizon: coming cycles of which the link can hand over expected commands; 0 where it cannot.
         speed: share of the path's speed that the controller lets the arm have now: its override.
         paused: why the controller holds the arm for a while; None while it does not.
-        notes: what the controller told that its user shall know.
+        notes: the controller's messages to the user.
         clocked: whether the controller keeps time, so that a packet that does not come is lost; a simulated one may
             wait for each answer.
-        ahead: expected commands of the cycles behind the next one, ``(horizon, n)`` [rad], for that one; None where
-            they are not known: then the arm is expected to come to rest.
+        ahead: expected commands after the next one ``(horizon, n)`` [rad], sent with it; None where unknown, then the
+            arm is expected to come to rest.
     """
 
     counts: Any
@@ -471,13 +473,13 @@ class LinkedRobot(ABC):
         self.commanded = self._wanted = self._step = np.full(robot.n, np.nan)
         self.answer_times = array("d")
         self.gone_on, self.missed, self._led, self._replaced = 0, False, False, False
-        # Of the commands in force, a cycle; where a controller holds the arm without one there is none.
+        # Change of the controller's commands per cycle; zero if the controller keeps the arm in place without one.
         self._wire_speed = np.zeros(robot.n)
         self._told = np.zeros((2, robot.n))
         self._arrivals: deque[float] = deque(maxlen=_ARRIVALS)
         self._stood_in, self._late_ones, self._heard, self._heard_at = 0, 0, 0, math.nan
         self._stood = np.full(robot.n, np.nan)
-        # Data of an arm without limits give no room; then a start from rest takes a third of a second.
+        # Without acceleration limits, a start from rest is assumed to take a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
         self._catch_up = CatchUp(2.0 * self._room, v_max, robot.t_ipo)
@@ -496,7 +498,7 @@ class LinkedRobot(ABC):
         return self.receive()
 
     def skip(self, q_c: Array) -> None:
-        """What was wanted in a cycle that is not commanded: the next command leads from there; raises as ``cycle``."""
+        """Notes a desired position that is not commanded; the next command continues there. Raises as ``cycle``."""
         self._want(q_c)
         self.missed = self.missed or not self.horizon
 
@@ -518,29 +520,29 @@ class LinkedRobot(ABC):
 
     @property
     def settled(self) -> bool:
-        """Whether what is in force is what was wanted: nothing missed and not yet made good."""
+        """Whether the controller's setpoint is the desired one, without an offset from missed cycles."""
         return not (self.missed or self._replaced or self._catch_up.active)
 
     @property
     def tolerance(self) -> float:
-        """How far the arm may be outside its commands [rad], with what is not known of commands that were lost."""
+        """Largest deviation of the arm from its commands [rad], including the uncertainty after lost commands."""
         return self._watch.tolerance
 
     def cause(self, joint: int) -> str:
-        """What the motion of a joint looks like that does not go where its command leads, counted from 0."""
+        """Likely cause, in words, of the deviation of a joint, counted from 0."""
         return self._watch.cause(joint)
 
     @property
     def meta(self) -> dict[str, Any]:
-        """What a recording's metadata shall say of the link."""
+        """Entries on the link for a recording's metadata."""
         return {}
 
     @abstractmethod
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Waits for the controller up to ``patience`` [s]; the state at rest, ``commanded`` is where it is held."""
+        """Waits for the controller up to ``patience`` [s]; the state at rest, with its setpoint in ``commanded``."""
 
     def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
+        """First half of ``cycle``: sends a command and returns, so that the cycle's time can be used for computing.
 
         Raises ``lost_link`` before ``connect``, where the link is broken, or where the arm has moved before the first
         command.
@@ -561,7 +563,7 @@ class LinkedRobot(ABC):
     def _with_ahead(self, q_c: Array) -> Array:
         """A command ``(n,)`` and those expected of the coming cycles, with it ``(1 + horizon, n)`` [rad]."""
         if self.ahead is None:
-            # To rest within the horizon, from the last step on.
+            # Comes to rest within the horizon, starting with the last step.
             ahead = np.cumsum(np.linspace(1.0, 0.0, self.horizon)[:, None] * self._step, axis=0) + self._wanted
         else:
             ahead, self.ahead = self.ahead, None
@@ -620,7 +622,7 @@ class LinkedRobot(ABC):
             if due.passed:
                 self._stood_in += 1
                 if self._stood_in == len(self._told):
-                    # Of a path of which no more is known the arm is brought to rest.
+                    # Without a known continuation of the path the arm comes to rest.
                     step = self._told[-1] - self._told[-2]
                     count = max(math.ceil(float(np.max(np.abs(step) / (self._room * self.t_ipo**2)))), 1)
                     self._told = np.vstack([self._told, self._told[-1] + (1.0 - 1.0 / count) * step])
@@ -636,7 +638,7 @@ class LinkedRobot(ABC):
         """A packet has come so many cycles behind the last, when its answer had gone out already."""
         self._late_ones += 1
         if self._late_ones > 1:
-            # It is the controller's clock that was held up: from now on the next is expected by this packet.
+            # The controller's clock was delayed: the next packet is expected relative to this one.
             self._heard, self._heard_at = since, self.arrived
 
     def _came(self) -> None:
@@ -677,7 +679,8 @@ class LinkedRobot(ABC):
             at = min(since - 1 if stood_in is None else stood_in, self.horizon)
             self.missed = since - 1 > at or self.missed
             if self.horizon:
-                # What was told beforehand is in force, which may be another than is wanted; at its end the arm is held.
+                # The expected commands were executed, which may differ from the desired ones; after the last the arm
+                # stops.
                 self._replaced, self.gone_on = True, at
                 self.commanded = self._told[at]
                 self._wire_speed = (self._told[at] - self._told[at - 1]) if since - 1 == at else np.zeros(self.robot.n)
@@ -691,10 +694,10 @@ class LinkedRobot(ABC):
         return q
 
     def receive(self) -> RobotState:
-        """The second half of ``cycle``: waits for the next packet.
+        """Second half of ``cycle``: waits for the next packet.
 
-        Raises ``lost_link`` where the link is broken, and from then on at once, as every command does: a controller
-        that is heard again later was started anew, and its arm is not where commands from before lead on.
+        Raises ``lost_link`` where the link is broken, and then in every call: a controller that answers again later was
+        restarted, and its arm is not where the old commands ended.
         """
         self._check_link()
         try:
@@ -714,7 +717,7 @@ class LinkedRobot(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Ends the link."""
+        """Closes the link."""
 
     def __enter__(self) -> Self:
         return self

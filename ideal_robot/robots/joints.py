@@ -1,4 +1,4 @@
-"""Which joints of a serial arm move on their own, and which follow another one.
+"""Coupled joints of a serial arm: which joints move on their own, and which follow another one.
 
 A palletizer's rods keep its wrist level, a belt moves the second stage of a telescope with the first: a URDF writes
 ``<mimic joint="j2" multiplier="-1" offset="0.3"/>``. Such a joint carries a body and has no coordinate: the angles of
@@ -18,7 +18,7 @@ from ideal_robot.arrays import Array
 
 
 class JointMotions(NamedTuple):
-    """How each of ``b`` joints moves with the ``n`` coordinates, in the order of the chain.
+    """Motion of each of ``b`` joints by the ``n`` coordinates, in the order of the chain.
 
     Attributes:
         coordinate: that moves it, from 0 ``(b,)``.
@@ -37,20 +37,20 @@ class JointMotions(NamedTuple):
     own: NDArray[np.bool_]
 
     def angles(self, q: Array) -> Array:
-        """Angles of all joints ``(…, b)`` at coordinates ``(…, n)`` [rad or m]."""
+        """Angles of all joints ``(…, b)`` from coordinates ``(…, n)`` [rad or m]."""
         return np.asarray(q[..., self.coordinate] * self.ratio + self.offset)
 
     def rates(self, qd: Array) -> Array:
-        """Velocities of all joints ``(…, b)`` at those of the coordinates ``(…, n)``; of accelerations, too."""
+        """Velocities of all joints ``(…, b)`` from those of the coordinates ``(…, n)``; also for accelerations."""
         return np.asarray(qd[..., self.coordinate] * self.ratio)
 
     def torques(self, tau: Array) -> Array:
-        """Torques of the coordinates ``(n,)`` that do the work of torques of all joints ``(b,)`` [N m or N]."""
+        """Torques of the coordinates ``(n,)`` equivalent to torques of all joints ``(b,)`` [N m or N]."""
         return np.bincount(self.coordinate, self.ratio * tau, int(self.own.sum())).astype(float)
 
 
 def joint_motions(model: pin.Model) -> JointMotions:
-    """How the joints of a Pinocchio model with one degree of freedom each move with its coordinates."""
+    """The couplings of a Pinocchio model whose joints have one degree of freedom each."""
     b = model.njoints - 1
     coordinate, own = np.zeros(b, dtype=np.int64), np.ones(b, dtype=bool)
     ratio, offset, axis, prismatic = np.ones(b), np.zeros(b), np.zeros((b, 3)), np.zeros(b, dtype=bool)
@@ -70,12 +70,12 @@ def joint_motions(model: pin.Model) -> JointMotions:
 
 
 def own_joints(model: pin.Model) -> list[int]:
-    """Pinocchio's numbers of the joints that move on their own, in the order of the coordinates ``(n,)``."""
+    """Pinocchio's indices of the joints that move on their own, in the order of the coordinates ``(n,)``."""
     return [i for i in range(1, model.njoints) if model.joints[i].nv > 0]
 
 
 def without_followers(model: pin.Model) -> pin.Model:
-    """The same bodies with every joint moving on its own: the model of q' ``(b,)``."""
+    """The same bodies with every joint independent: the model of q' ``(b,)``."""
     free, motions = pin.Model(), joint_motions(model)
     for i, (axis, slides) in enumerate(zip(motions.axis, motions.prismatic, strict=True), start=1):
         kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
@@ -90,7 +90,7 @@ def without_followers(model: pin.Model) -> pin.Model:
 def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
     """Mass matrix of the coordinates ``(n, n)`` [kg m²], armature on its diagonal.
 
-    Pinocchio's ``crba``; of followers it adds to what its data hold from the call before (4.1), so they are made anew.
+    Pinocchio's ``crba``; with coupled joints it adds to data of the last call (version 4.1), so new data are created.
 
     Args:
         model, data: of the arm, and its data, which are written to where no joint follows another one.

@@ -1,6 +1,6 @@
 """A robot as its maker describes it: kinematics and nominal inertias (URDF) and drive data (one TOML file).
 
-Nothing here is identified and nothing comes from the simulator: it is what stands in the data sheet.
+Nothing here is identified or from the simulator: all of it is in the data sheet.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from ideal_robot.robots.urdf import model_of, read_drive_data
 # Which kind of joint a Pinocchio model has where.
 
 def prismatic_joints(model: pin.Model) -> NDArray[np.bool_]:
-    """Which joints slide along their axis instead of turning about it ``(n,)``; one degree of freedom each."""
+    """Which joints are prismatic ``(n,)``; each joint has one degree of freedom."""
     return np.array([model.joints[j].shortname().startswith("JointModelP") for j in own_joints(model)], dtype=bool)
 
 
 def joint_units(unit: str, model: pin.Model) -> tuple[str, ...]:
-    """A unit of each joint, given for those that turn: "mm" for "mrad", "N" for "N m" where one slides ``(n,)``."""
+    """A unit for each joint: as given for revolute ones, "mm" for "mrad", "N" for "N m" if prismatic ``(n,)``."""
     return tuple(sliding_unit(unit) if slides else unit for slides in prismatic_joints(model))
 
 
 def sliding_unit(unit: str) -> str:
-    """What is to a joint that slides as ``unit`` is to one that turns."""
+    """The unit of a prismatic joint that corresponds to ``unit`` of a revolute one."""
     for turning, along in (("(N m)", "N"), ("N m", "N"), ("kg m²", "kg"), ("rad", "m")):
         unit = unit.replace(turning, along)
     return unit
 
 
 def unit_in_amperes(unit: str) -> str:
-    """What a unit of torques, forces and inertias is where the torque is a current whose gain nobody knows."""
+    """The unit that replaces one of torques, forces and inertias where the drive gain is unknown: with A for N m."""
     for of_torque, of_current in (("kg m²", "A s²"), ("kg m", "A s²/m"), ("kg", "A s²/m²"), ("N m", "A"), ("N", "A")):
         if of_torque in unit:
             return unit.replace(of_torque, of_current)
@@ -86,11 +86,11 @@ class Robot(Summarised):
         tau_max: joint-side motor torque limit ``(n,)`` [N m]; inf where unknown.
         t_ipo, t_position, t_velocity: cycle times of interpolation, position and velocity loop [s].
         home: a posture for demos ``(n,)``.
-        counted: the controller's joint angles, in logs and on its pendant, are this times the URDF's ``(n, n)``; those
-            of an arm whose rods or whose controller couple joints are not the URDF's.
-        data: everything in the data file, for what only some readers need.
-        description: the URDF's text as it is used: of its joints the arm's move, the others are held.
-        assumed: what the URDF does not say, or cannot mean, and what was taken instead, in words.
+        counted: the controller's joint angles, in logs and on its pendant, are this matrix times the URDF's ``(n, n)``;
+            it is not diagonal where rods or the controller couple joints.
+        data: the whole data file, for special readers.
+        description: the URDF's text as used: the arm's joints move, all others are fixed.
+        assumed: missing or implausible values of the URDF and their replacements, in words.
     """
 
     name: str
@@ -121,29 +121,29 @@ class Robot(Summarised):
 
     @property
     def prismatic(self) -> NDArray[np.bool_]:
-        """Which joints slide along their axis instead of turning about it ``(n,)``."""
+        """Which joints are prismatic ``(n,)``."""
         return prismatic_joints(self.pinocchio)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """What the URDF calls the joints that move on their own ``(n,)``."""
+        """Names of the URDF's joints that move on their own ``(n,)``."""
         return tuple(self.pinocchio.names[j] for j in own_joints(self.pinocchio))
 
     @property
     def following(self) -> tuple[str, ...]:
-        """Which joints follow others, and how, in words."""
+        """Couplings of joints to others, in words."""
         model, motions = self.pinocchio, joint_motions(self.pinocchio)
         return tuple(f"{model.names[i + 1]} = {motions.ratio[i]:.6g} {self.joint_names[motions.coordinate[i]]}"
                      + (f" {motions.offset[i]:+.6g}" if motions.offset[i] else "")
                      for i in np.flatnonzero(~motions.own).tolist())
 
     def units(self, unit: str) -> tuple[str, ...]:
-        """A unit of each joint, e.g. "mrad": as it is where it turns, "mm" where it slides ``(n,)``."""
+        """A unit for each joint, e.g. "mrad": as it is for revolute ones, "mm" for prismatic ones ``(n,)``."""
         return joint_units(unit, self.pinocchio)
 
     @property
     def knows_drive_gains(self) -> bool:
-        """Whether currents become torques in all joints; else some stay amperes."""
+        """Whether the drive gains [N m/A] of all joints are known."""
         return not self.unknown_drive_gain
 
     @property
@@ -153,7 +153,7 @@ class Robot(Summarised):
 
     @property
     def unknown_drive_gain(self) -> str:
-        """Warning of whoever makes torques of the arm's currents; empty where all drive gains are known."""
+        """Warning for torques computed from the arm's currents; empty where all drive gains are known."""
         unknown = self.without_gain
         if not unknown:
             return ""
@@ -170,13 +170,13 @@ class Robot(Summarised):
     @cached_property
     def tool_id(self) -> int:
         """Pinocchio's index of the TCP frame."""
-        # A joint and a link may have the same name; the link's frame is the tool's.
+        # A joint and a link may have the same name; the link's frame is that of the tool.
         called = [i for i, frame in enumerate(self.pinocchio.frames) if frame.name == self.tool_frame]
         return max(called, key=lambda i: self.pinocchio.frames[i].type == pin.FrameType.BODY)
 
     @property
     def tool_place(self) -> NDArray[np.float64]:
-        """Where the TCP is in the last joint's frame ``(3,)`` [m]."""
+        """Place of the TCP in the last joint's frame ``(3,)`` [m]."""
         return np.array(self.pinocchio.frames[self.tool_id].placement.translation)
 
     @classmethod
@@ -234,7 +234,7 @@ class Robot(Summarised):
         )
 
     def summary(self) -> list[tuple[str, str]]:
-        """What it is, how far and how fast."""
+        """Number of joints, reach and speed as rows of label and value."""
         cycle = f"cycle {1e3 * self.t_ipo:g} ms"
         return [("robot", f"{self.name!r}: {self.n} joints, tool frame {self.tool_frame}, {cycle}"),
                 *(("followers", "; ".join(self.following)) for _ in self.following[:1]),
@@ -253,7 +253,7 @@ class Robot(Summarised):
 
     @property
     def tool_length(self) -> float:
-        """Length of the tool that ``with_tool`` put on [m]."""
+        """Length of the tool that ``with_tool`` added [m]."""
         frame = self.pinocchio.frames[self.tool_id]
         if frame.name != TOOL_TIP:
             return 0.0
@@ -265,7 +265,7 @@ class Robot(Summarised):
 
         Args:
             length: of the TCP beyond the tool frame along the approach axis z [m].
-            turn: of the tool, and what it carries, about that axis [rad].
+            turn: rotation of the tool and its load about that axis [rad].
         """
         if length == 0.0 and turn == 0.0:
             return self
@@ -320,7 +320,7 @@ def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None, found: 
         if not model.existFrame(wanted):
             raise InputError("no frame of that name in the URDF", file=file, field="tool_frame", value=wanted)
         return wanted
-    # Without a word from the user: the end of the chain.
+    # By default the end of the chain.
     if found is not None and model.existFrame(found):
         return found
     return str([frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1])
@@ -351,16 +351,16 @@ def common_normals(robot: Robot) -> Array:
     return result
 
 
-# Postures all over an arm's range, the same ones every time.
+# Postures spread over an arm's range, the same ones every time.
 
 def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
-    """Halton points ``(count, n)`` between the limits; of joints that turn further, half a turn to either side.
+    """Halton points ``(count, n)`` between the limits; joints with larger ranges are limited to ±180°.
 
     Args:
         q_min, q_max: position limits ``(n,)`` [rad or m].
         count: how many.
     """
-    from scipy.stats import qmc  # what loads a robot alone need not wait for it
+    from scipy.stats import qmc  # imported late, as loading a robot does not need it
 
     low, high = np.clip(q_min, -np.pi, np.pi), np.clip(q_max, -np.pi, np.pi)
     return np.asarray(low + qmc.Halton(len(low), scramble=False).random(count) * (high - low))

@@ -1,7 +1,7 @@
-"""What an arm of a size weighs, can lift and how fast it turns: for URDFs that do not say it, or say what cannot be.
+"""Default masses, efforts and speeds by an arm's size, for URDFs without them or with impossible ones.
 
-Many public URDFs are kinematics alone: no masses or the same one everywhere, efforts and speeds of 0. An arm that is to
-be played needs some; those of its class are taken, and every one that is taken is told (``Robot.assumed``).
+Many public URDFs are kinematics alone: no masses or the same one everywhere, efforts and speeds of 0. A simulation
+needs some; those of its class are used, and listed in ``Robot.assumed``.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ of 22 public arms, is a fourteenth (the last joint of TX60L), a placeholder of 1
 
 
 def of_its_size(robot: Robot) -> Robot:
-    """The arm with masses, efforts and speeds of its class where its URDF gives none, or such that cannot be.
+    """The arm with masses, efforts and speeds of its class where its URDF's are missing or impossible.
 
-    A shipped one is returned as it is, and one of so few joints that it is no arm.
+    A shipped one is returned as it is, as is one with too few joints for an arm.
     """
     if robot.name in SHIPPED or robot.n < FEWEST:
         return robot
@@ -70,7 +70,7 @@ def reach(robot: Robot) -> float:
 
 
 def reach_at_home(robot: Robot) -> float:
-    """Distance of the tool from the base where the arm rests [m], that of the smallest arms at least."""
+    """Distance of the tool from the base at home [m], at least that of the smallest arms."""
     return max(float(np.linalg.norm(robot.fk()(robot.home).translation)), REACH[0])
 
 
@@ -137,7 +137,7 @@ def _cylinder(way: Array, mass: float, radius: float) -> ET.Element:
     """The ``inertial`` of a full cylinder along a way ``(3,)`` [m] from the link's frame."""
     length = float(np.linalg.norm(way))
     along = way / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
-    # A joint is no flat disc, whose moments PyBullet refuses.
+    # A link is not a flat disc, whose moments PyBullet rejects.
     length = max(length, radius)
     across = mass * (3.0 * radius**2 + length**2) / 12.0
     inertia = across * np.eye(3) + (0.5 * mass * radius**2 - across) * np.outer(along, along)
@@ -167,9 +167,9 @@ def _efforts(robot: Robot, notes: list[str]) -> Array:
     gravity, inertia = loads(robot)
     asked = LIFTS * gravity + inertia * robot.v_max / RISE
     usual = np.maximum(asked, WEAKEST * asked[~robot.prismatic].max(initial=0.0))
-    # By what the joint itself carries: what turns the base of a whole robot says nothing of its wrist.
+    # Relative to the load of the joint itself: the base of a robot has no bearing on its wrist.
     weak = np.isfinite(robot.tau_max) & ~(robot.tau_max > np.maximum(HOLDS * gravity, asked / TOO_WEAK))
-    # A number that is a placeholder at one joint is one at all, also where the joint is light enough for it.
+    # A number that is a placeholder at one joint is one at all joints, also at light ones.
     missing = ~np.isfinite(robot.tau_max) | np.isin(robot.tau_max, robot.tau_max[weak])
     if missing.any():
         notes.append(f"no effort of {_joints(missing)} in the URDF that could hold and move the arm: "

@@ -1,4 +1,4 @@
-"""What an arm's controller reports, read by somebody who does not lead the arm."""
+"""Reads the states that an arm's controller reports, without commanding the arm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEYOND = 0.1
 
 @dataclass(frozen=True)
 class ReportedState:
-    """Where an arm was.
+    """Joint angles of an arm at a time.
 
     Attributes:
         t: by the controller's clock [s].
@@ -32,13 +32,13 @@ class ReportedState:
 
 
 class StateReader(ABC):
-    """Reads the states of an arm that others lead, to the end of a ``with`` block; nothing is commanded."""
+    """Reads the states of an arm that another program commands, until the end of a ``with`` block."""
 
     @abstractmethod
     def read(self, timeout: float) -> list[ReportedState]:
-        """States that have come since the last call, waited for up to ``timeout`` [s] where there are none.
+        """States since the last call; waits up to ``timeout`` [s] where there are none.
 
-        Raises IdealRobotError where no more can come.
+        Raises IdealRobotError where the connection has ended.
         """
 
     @abstractmethod
@@ -53,13 +53,13 @@ class StateReader(ABC):
 
 
 def no_radians(robot: Robot, names: Sequence[str], q: Array, source: str) -> str | None:
-    """Why reported angles cannot be the arm's, with what they may be instead; None where they can.
+    """Why reported angles cannot be radians of the arm, with the likely unit; None where they can.
 
     Args:
         robot: limits.
         names: of its joints.
         q: reported ``(n,)`` [rad].
-        source: what reports them, for the message.
+        source: source of the angles, for the message.
     """
     turning = ~robot.prismatic
     beyond = turning & ~((q >= robot.q_min - BEYOND) & (q <= robot.q_max + BEYOND))

@@ -1,8 +1,8 @@
-"""The units of a URDF, judged against each other: lengths, limits, speeds, masses and moments of inertia.
+"""Checks the units of a URDF by typical values: lengths, limits, speeds, masses and moments of inertia.
 
 A URDF holds metres, radians, kilograms and newtons, but nothing in it says so, and exporters of drawings write
-millimetres, degrees and grams. Each quantity is compared with what an arm of that reach has (``class_of``); where it
-cannot be, and is that of its class in another unit that people use, it is converted, and told.
+millimetres, degrees and grams. Each quantity is compared with that of arms of its reach (``class_of``); where it is
+impossible, but fits in another common unit, it is converted with a note.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _SLIDING_SPEEDS = {1e-3: "millimetres a second"}
 def in_si(text: str) -> tuple[str, tuple[str, ...]]:
     """The URDF of one moving chain in metres, radians and kilograms, and what was converted, in words.
 
-    The very text where nothing was.
+    The same text where nothing was converted.
     """
     root = ET.fromstring(text)
     joints = in_order(root)
@@ -86,7 +86,7 @@ def _limits(joints: list[ET.Element], size: float, notes: list[str]) -> None:
     """Converts position limits in degrees or millimetres; what no joint turns is no limit."""
     turning = {joint: _span(joint) for joint in joints if joint.get("type") == "revolute"}
     wound = [joint for joint, span in turning.items() if WOUND < span <= MOST_TURNED]
-    # Where most joints are in degrees, those whose range is short are, too.
+    # If most joints are in degrees, those with short ranges are, too.
     in_degrees = list(turning) if 2 * len(wound) > len(turning) else wound
     converted = [joint for joint in in_degrees if turning[joint] <= MOST_TURNED]
     for joint in converted:
@@ -158,7 +158,7 @@ def _masses(root: ET.Element, size: float, notes: list[str]) -> None:
     trace = np.array([sum(float(_value(inertial, "inertia", key)) for key in ("ixx", "iyy", "izz"))
                       for inertial in inertials])
     known = (masses > 0.0) & (trace > 0.0)
-    # The same number everywhere stands for none, in whatever unit.
+    # The same number everywhere is a placeholder, whatever its unit.
     if 2 * len(np.unique(trace[known])) <= known.sum():
         return
     gyration = float(np.median(np.sqrt(0.5 * trace[known] / masses[known]))) / size

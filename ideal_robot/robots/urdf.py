@@ -1,4 +1,4 @@
-"""A URDF's text to Pinocchio's model, after checks of what Pinocchio takes on trust or only grumbles about."""
+"""Makes Pinocchio's model from a URDF's text, after checks that Pinocchio omits or only warns of."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
                                   inertia.lever, [inertia.mass]])
         if not np.all(np.isfinite(numbers)):
             raise InputError("place or inertia is not finite", file=file, field=model.names[j])
-        # An arm gets links of its class in their place, and says so (``ideal_robot.robots.size``).
+        # For an arm such links are replaced by typical ones, with a note (``ideal_robot.robots.size``).
         if model.nv < FEWEST and (inertia.mass < 0.0 or (np.diag(inertia.inertia) < -1e-12).any()):
             raise InputError("a body of negative mass or moment of inertia", file=file, field=model.names[j],
                              value=[inertia.mass, *np.diag(inertia.inertia).tolist()])
@@ -90,7 +90,7 @@ def _keep_followers_limits(model: pin.Model, root: ET.Element) -> None:
 
 
 def without_meshes(text: str) -> str:
-    """The same URDF without what would make a viewer open other files: only primitive shapes stay."""
+    """The same URDF with primitive shapes only, so that a viewer opens no other files."""
     root = ET.fromstring(text)
     for link in root.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
@@ -103,9 +103,9 @@ def without_meshes(text: str) -> str:
 
 
 def check_text(text: str, file: str | Path | None) -> None:
-    """Raises InputError for what is no URDF's text, or a larger one.
+    """Raises InputError for a text that is not a URDF, or is too large.
 
-    That is broken XML, entities, numbers that are none, xacro commands.
+    The causes are broken XML, entities, malformed numbers, xacro commands.
     """
     URDF_BYTES.check(len(text), file, "is this a URDF?")
     if "<!ENTITY" in text or "\0" in text:
@@ -136,7 +136,7 @@ def check_text(text: str, file: str | Path | None) -> None:
 def _check_element(element: ET.Element, file: str | Path | None) -> None:
     """Raises InputError for xacro commands and masses without a value, which Pinocchio reads without a word."""
     command = element.tag.rpartition("}")[2] if element.tag.startswith(_XACRO) else None
-    # A value that is defined and nowhere used changes nothing.
+    # A property that is defined but not used changes nothing.
     used = next((name for name, value in element.attrib.items() if "${" in value), None)
     if (command is not None and command != "property") or (command is None and used is not None):
         raise InputError("holds xacro commands, which are not carried out; write the URDF by `xacro FILE`", file=file,
@@ -146,12 +146,12 @@ def _check_element(element: ET.Element, file: str | Path | None) -> None:
 
 
 def check_joints(root: ET.Element, file: str | Path | None) -> None:
-    """Raises InputError for axes without a direction of joints that move."""
+    """Raises InputError for moving joints whose axis has no direction."""
     for joint in root.findall("joint"):
         name, axis = str(joint.get("name"))[:40], joint.find("axis")
         if joint.get("type") == "fixed":
             continue
-        # What reads the file takes x where there is no axis, and none where it has no direction.
+        # Pinocchio uses x for a missing axis, and none for an axis without a direction.
         written = "1 0 0" if axis is None else axis.get("xyz", "")
         if not 1e-3 <= math.hypot(*map(float, written.split())) <= 1e3:
             raise InputError("an axis needs a direction, e.g. 0 0 1", file=file, field=name, value=written[:40])
@@ -186,7 +186,7 @@ def _built(text: str, file: str | Path | None) -> pin.Model:
     with kept_words() as stream:
         try:
             return pin.buildModelFromXML(text, mimic=True)
-        except Exception as error:  # the binding raises whatever the library leads to
+        except Exception as error:  # the binding raises exceptions of many types
             stream.seek(0)
             reason = re.search(r"Error:\s*([^\n]*)", stream.read().decode(errors="replace"))
             shown = reason.group(1) if reason else " ".join(str(error).split())
@@ -203,8 +203,8 @@ def _none_or_size(value: float) -> float:
     return value
 
 
-# The drive data file of a robot (TOML), checked: types, lengths and ranges of what stands in it. They are
-# wide: what no arm has, 1e9 of any unit or a cycle of more than a second, is a slip of the pen.
+# The drive data file of a robot (TOML), checked: types, lengths and ranges of its values. The ranges are wide:
+# impossible values, 1e9 of any unit or a cycle of more than a second, are typing errors.
 Number = Annotated[float, pydantic.Field(strict=True, allow_inf_nan=False)]
 Size = Annotated[float, pydantic.Field(strict=True, ge=LEAST, le=1e9)]
 NoneOrSize = Annotated[float, pydantic.Field(strict=True, ge=0, le=1e9), pydantic.AfterValidator(_none_or_size)]
@@ -213,12 +213,12 @@ Text = Annotated[str, pydantic.Field(strict=True, min_length=1, max_length=100)]
 
 
 class _Table(pydantic.BaseModel):
-    # Further keys are kept: other readers (RSI, users' programs) have their own tables here.
+    # Further keys are kept, as other readers (RSI, users' programs) have their own tables here.
     model_config = pydantic.ConfigDict(extra="allow", frozen=True)
 
 
 class Joints(_Table):
-    """One number for all joints or a list with one each; on the motor side, as data sheets have it."""
+    """The table ``[joints]``: one number for all joints or a list; on the motor side, as in data sheets."""
 
     gear_ratio: Size | list[Size] = 1.0
     rotor_inertia: NoneOrSize | list[NoneOrSize] = 0.0
@@ -236,7 +236,7 @@ class Controller(_Table):
 
 
 class Coupled(_Table):
-    """A joint that the controller counts with a share of another one, joints from 1."""
+    """A joint whose controller angle contains a share of another joint's; joints are counted from 1."""
 
     joint: Annotated[int, pydantic.Field(strict=True, ge=1)]
     by: Annotated[int, pydantic.Field(strict=True, ge=1)]
@@ -244,7 +244,7 @@ class Coupled(_Table):
 
 
 class DriveData(_Table):
-    """What a URDF lacks; every key may be missing."""
+    """Data that a URDF does not have; every key is optional."""
 
     name: Text | None = None
     tool_frame: Text | None = None
@@ -253,7 +253,7 @@ class DriveData(_Table):
     coupled: list[Coupled] = []
 
     def counted(self, n: int, file: Path | None) -> Array:
-        """The matrix ``(n, n)`` by which the controller's joint angles are those of the URDF.
+        """The matrix ``(n, n)`` from the URDF's joint angles to the controller's.
 
         Raises InputError for a joint that the arm does not have, or that is coupled to itself.
 
@@ -289,7 +289,7 @@ class DriveData(_Table):
 
 
 def read_drive_data(path: Path | None) -> tuple[DriveData, dict[str, Any]]:
-    """The checked data of a file and all that stands in it; neutral values without a file.
+    """The checked data of a file and its whole content; neutral values without a file.
 
     Raises InputError for a file that is not readable, or a value of another type or out of range.
     """
@@ -299,7 +299,7 @@ def read_drive_data(path: Path | None) -> tuple[DriveData, dict[str, Any]]:
     try:
         return DriveData(**values), values
     except pydantic.ValidationError as error:
-        # One number or a list: what is wrong with a list's number lies deepest.
+        # One number or a list: the error of a list's number is the most deeply nested one.
         first = max(error.errors(), key=lambda entry: len(entry["loc"]))
         key = ".".join(part for part in first["loc"] if isinstance(part, str) and "[" not in part)
         shown = first.get("input")

@@ -1,4 +1,4 @@
-"""A node of ROS 2 that listens to one topic and, for an arm, publishes on one: what does not match is named."""
+"""A ROS 2 node that subscribes to one topic and, for an arm, publishes on one; mismatches are named."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _DISCOVERED = 0.5
 
 
 class Ros2Error(IdealRobotError):
-    """Nobody is there, what is there does not match, or has fallen silent."""
+    """No publisher or subscriber matches, or it has fallen silent."""
 
 
 class Node:
-    """A node in a context of its own; what has come is taken by whoever waits.
+    """A node in its own context; received messages are processed by the caller that waits.
 
     Args:
         sim_time: whether the node's clock is that of ``/clock``.
@@ -37,7 +37,7 @@ class Node:
     """
 
     def __init__(self, *, sim_time: bool = False, subnet: bool = False) -> None:
-        # Read when the first node of a process is made.
+        # The environment is read when the first node of a process is created.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET" if subnet else "LOCALHOST")
         import rclpy
         from rclpy.parameter import Parameter
@@ -50,21 +50,21 @@ class Node:
                 f"ideal_robot_{os.getpid()}_{next(_NUMBERS)}", context=self._context, enable_rosout=False,
                 start_parameter_services=False, use_global_arguments=False,
                 parameter_overrides=[Parameter("use_sim_time", value=sim_time)])
-        except Exception as error:  # the library's own, whose kinds differ between middlewares
+        except Exception as error:  # the library's own exceptions, whose types differ between middlewares
             raise InputError(f"ROS 2 does not start here ({' '.join(str(error).split())}); check ROS_DOMAIN_ID and "
                              "RMW_IMPLEMENTATION", field="ros2") from error
         self._waits: Any = None
 
     @property
     def domain(self) -> str:
-        """Where it looks, in words."""
+        """Its ROS domain and discovery range, in words."""
         reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET").lower()
         return f"ROS_DOMAIN_ID {self._context.get_domain_id()}, discovery on {reach}"
 
     def spin(self, timeout: float) -> None:
-        """Takes every message that waits, oldest first; waits up to ``timeout`` [s] for one.
+        """Processes every waiting message, oldest first; waits up to ``timeout`` [s] for one.
 
-        An executor of ``rclpy`` takes one message a turn and makes what it waits for anew in each.
+        An executor of ``rclpy`` would take only one message per turn and rebuild its wait set each time.
         """
         if self._take_waiting():
             return
@@ -107,12 +107,12 @@ class Node:
         try:
             self._listened.append((self.ros.create_subscription(kind, topic, taken, quality), taken))
             self._waits = rclpy_implementation.WaitSet(len(self._listened), 0, 0, 0, 0, 0, self._context.handle)
-        except Exception as error:  # the library's own, for a topic of another type
+        except Exception as error:  # the library's own exception for a topic of another type
             raise Ros2Error(f"{topic} cannot be listened to as {kind.__name__}: {' '.join(str(error).split())}"
                             ) from error
 
     def publisher(self, kind: Any, topic: str) -> Any:
-        """A reliable publisher whose newest message alone waits.
+        """A reliable publisher with a queue of one message.
 
         Args:
             kind: class of the messages.
@@ -124,7 +124,7 @@ class Node:
             depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE))
 
     def require_publisher(self, kind: str, topic: str, deadline: Deadline) -> None:
-        """Waits for a publisher of a topic; raises Ros2Error with what there is instead.
+        """Waits for a publisher of a topic; raises Ros2Error, with the existing topics, if there is none.
 
         Args:
             kind: of the messages, ``package/msg/Name``.
@@ -139,7 +139,7 @@ class Node:
                 raise Ros2Error(f"{topic} is of {info.topic_type}, {kind} is expected; {self._instead(kind)}")
 
     def require_alone(self, kind: str, topic: str, deadline: Deadline) -> None:
-        """Waits until somebody listens to a topic that this node publishes; raises Ros2Error where it does not match.
+        """Waits for a subscriber of a topic that this node publishes; raises Ros2Error where it does not match.
 
         Args:
             kind: of the messages, ``package/msg/Name``.
@@ -173,7 +173,7 @@ class Node:
                        if info.node_name != self.ros.get_name()})
 
     def close(self) -> None:
-        """Leaves the graph."""
+        """Destroys the node, so that it leaves the ROS graph."""
         self._waits = None
         self.ros.destroy_node()
         self._rclpy.shutdown(context=self._context)
@@ -205,5 +205,5 @@ def full_name(namespace: str, topic: str) -> str:
 
 
 def seconds(stamp: Any) -> float:
-    """A stamp of a header [s]."""
+    """A header's time stamp in seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)

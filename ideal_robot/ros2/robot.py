@@ -1,6 +1,6 @@
 """An arm behind ROS 2's controllers, as one more implementation of ``RobotInterface``.
 
-``sensor_msgs/JointState`` says where it is, joints by name, and is the clock: a command follows each. Commands go to a
+``sensor_msgs/JointState`` has the joint angles by name, and is the clock: a command follows each. Commands go to a
 ``forward_command_controller`` (``Float64MultiArray``) or, as a horizon with its times, to a
 ``joint_trajectory_controller``: there a message that is late or lost changes nothing as long as the horizon reaches.
 """
@@ -43,7 +43,7 @@ class Ros2Robot(LinkedRobot):
         joints: names of the joints in the order of the controller; those of the URDF if empty.
         sim_time: whether time is that of ``/clock``.
         subnet: whether others than this computer's programs are discovered, where the environment does not say it.
-        timeout: silence after which the arm counts as gone [s].
+        timeout: silence after which the link is taken as broken [s].
         bridge: how long joint states may be lost in a row [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -69,9 +69,9 @@ class Ros2Robot(LinkedRobot):
         self._joint_states: JointStates | None = None
 
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Waits up to ``patience`` [s] for joint states and a listener to commands, and looks whether all matches.
+        """Waits up to ``patience`` [s] for joint states and a subscriber of commands, and checks that both match.
 
-        Returns the state at rest, ``t = 0``. ``commanded`` is then where the arm stands.
+        Returns the state at rest, ``t = 0``. ``commanded`` is then the arm's position.
 
         Raises:
             Ros2Error: nobody publishes or listens, another publisher commands the arm, joints are missing, quality of
@@ -90,7 +90,7 @@ class Ros2Robot(LinkedRobot):
         node.require_publisher(KIND, self.states, deadline)
         node.require_alone(name, self.commands, deadline)
         self._looked = time.perf_counter()
-        # Who has made its publisher may publish later.
+        # The publisher may exist before it publishes.
         stamps = [self._stamp(self._next(max(deadline.left, self._timeout))[-1])]
         while len(stamps) < _SETTLED:
             stamps += [self._stamp(message) for message in self._next(self._timeout)]
@@ -135,7 +135,7 @@ class Ros2Robot(LinkedRobot):
                 break
             self._came_late(since)
             older.append(message)
-        # A controller of trajectories goes on along the horizon that it has.
+        # A trajectory controller continues along its horizon.
         self._bridged(since, len(older), None if self.trajectory else self._stood_in)
         self._came()
         self.unanswered = tuple(self._state(one) for one in older)
@@ -144,7 +144,7 @@ class Ros2Robot(LinkedRobot):
         return self._state(message)
 
     def close(self) -> None:
-        """Leaves; a controller holds its last command, or goes to the end of its trajectory."""
+        """Leaves the ROS graph; a controller keeps its last command, or completes its trajectory."""
         if self._node is not None:
             self._node.close()
             self._node = None
@@ -186,7 +186,7 @@ class Ros2Robot(LinkedRobot):
     def _trajectory(self, q_c: Array) -> Any:
         """The command of this cycle and those expected behind it, with their times."""
         message = self._message(joint_names=[self._names[i] for i in self._order])
-        # By the clock of the joint states, so that a message that is late says the same of every instant.
+        # Stamped by the clock of the joint states, so that a delayed message refers to the same instants.
         stamp = message.header.stamp
         stamp.sec, stamp.nanosec = divmod(round(1e9 * (self._last + self.t_ipo)), 10**9)
         rows = self._with_ahead(q_c)[:, self._order]
@@ -225,6 +225,7 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> Ros2Robot:
         full_name(namespace, options.get("trajectory") or options.get("commands") or COMMANDS),
         trajectory="trajectory" in options, joints=tuple(filter(None, options.get("joints", "").split(","))),
         **discovered(address), **settings.given())
-    # Publishers that no real-time kernel runs are late more often than joint states are lost.
+    # Publishers without a real-time kernel are late more often than joint states are lost, so the link waits by
+    # default.
     link.clocked = not address.number("waits", 1, 0, 1)
     return link

@@ -1,4 +1,4 @@
-"""The joint states of one arm on a topic of ROS 2, whatever else is published there."""
+"""The joint states of one arm on a ROS 2 topic that may also carry others."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _QUEUE = 100
 
 
 class JointStates:
-    """Messages of ``sensor_msgs/JointState`` that have all joints of an arm; those of a gripper alone are passed over.
+    """Messages of ``sensor_msgs/JointState`` that have all joints of an arm; others, as a gripper's, are skipped.
 
     Args:
         node: listens.
         topic: its full name.
         robot: joints by the names of its URDF.
         counts: of messages that are passed over.
-        every: whether all messages are wanted, as they come; else those with stamps that rise.
+        every: whether all messages are returned as received; otherwise only those with rising stamps.
 
     Attributes:
         names: of the joints.
@@ -50,10 +50,9 @@ class JointStates:
         node.listen(JointState, topic, self._take, _QUEUE)
 
     def next(self, timeout: float) -> list[tuple[Any, float]]:
-        """Messages that have come since the last call, and when they were read by ``time.perf_counter`` [s].
+        """Messages since the last call, with their times of reading by ``time.perf_counter`` [s].
 
-        The newest is the last one. Raises Ros2Error where none comes within ``timeout`` [s], or only such as are of no
-        use.
+        The newest is the last one. Raises Ros2Error where none comes within ``timeout`` [s], or only unusable ones.
         """
         deadline, outdated, partial = Deadline.within(timeout), self._counts.outdated, self._counts.partial
         while not self._taken:
@@ -63,14 +62,14 @@ class JointStates:
         return self.waiting()
 
     def waiting(self, timeout: float = 0.0) -> list[tuple[Any, float]]:
-        """Messages that have come since the last call, if any comes within ``timeout`` [s]; see ``next``."""
+        """Messages since the last call, possibly none, after waiting up to ``timeout`` [s]; see ``next``."""
         self._node.spin(timeout)
         taken = list(self._taken)
         self._taken.clear()
         return taken
 
     def indices(self, message: Any) -> list[int]:
-        """Where the arm's joints stand in a message."""
+        """Indices of the arm's joints in a message."""
         names = tuple(message.name)
         if names != self._places[0]:
             self._places = names, [names.index(name) for name in self.names]
@@ -135,7 +134,7 @@ class Ros2Reader(StateReader):
             raise
 
     def read(self, timeout: float) -> list[ReportedState]:
-        """See ``StateReader.read``; a publisher that is silent, or gone, is waited for."""
+        """States since the last call; waits for a publisher that is silent or gone; see ``StateReader.read``."""
         try:
             taken = self._states.next(timeout)
         except Ros2Error:
@@ -144,7 +143,7 @@ class Ros2Reader(StateReader):
                 for message, arrived in taken]
 
     def close(self) -> None:
-        """See ``StateReader.close``."""
+        """Closes the node; see ``StateReader.close``."""
         self._node.close()
 
 
@@ -166,7 +165,7 @@ def reader(address: Address, robot: Robot, patience: float) -> Ros2Reader:
 
 
 def discovered(address: Address) -> dict[str, bool]:
-    """``sim_time`` and ``subnet`` as an address says them; raises InputError for another value."""
+    """The entries ``sim_time`` and ``subnet`` of an address as truth values; raises InputError for other values."""
     discovery = address.options.get("discovery", "localhost")
     if discovery not in ("localhost", "subnet"):
         raise InputError("expected localhost or subnet", field=f"{address.option} ?discovery", value=discovery[:40])

@@ -1,4 +1,4 @@
-r"""What an RSI controller is told in place of joint angles: corrections of its axes, or of its tool's pose.
+r"""Corrections for an RSI controller, computed from joint angles: of its axes, or of its tool's pose.
 
 A controller with ``AXISCORR`` adds :math:`A - A_0` to its axes. One with ``POSCORR`` moves its tool and finds the axes
 by itself. With the arm's flange :math:`F(q)` in its foot's frame, the base :math:`B` that the program works in and the
@@ -6,11 +6,11 @@ tool :math:`W` on the flange its pose is
 
 .. math:: X(q) = B^{-1} F(q) W, \qquad W = F(q)^{-1} B\, X \text{ of the first packet (AIPos, RIst)},
 
-and what leads from the pose :math:`X_0` at which RSI began is told in the base, :math:`(p - p_0,\ R R_0^T)`, or in the
-tool, :math:`X_0^{-1} X`: millimetres, and KUKA's angles :math:`R = R_z(A) R_y(B) R_x(C)` in degrees. Increments follow
-each other: places add up, rotations multiply.
+and the correction from the pose :math:`X_0` at which RSI began is given in the base, :math:`(p - p_0,\ R R_0^T)`, or in
+the tool, :math:`X_0^{-1} X`: millimetres, and KUKA's angles :math:`R = R_z(A) R_y(B) R_x(C)` in degrees. Increments
+follow each other: places add up, rotations multiply.
 
-Where geometry or base are not the controller's, poses that it reports of its axes show it: see ``contradiction``.
+If geometry or base differ from the controller's, its reported poses contradict its axes: see ``contradiction``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _SOLVED = 1e-10
 
 
 class Corrections(Protocol):
-    """How joint angles become what an answer says.
+    """Interface of the conversion between joint angles and corrections.
 
     Attributes:
         names: of the answer's attributes.
@@ -51,32 +51,32 @@ class Corrections(Protocol):
     names: tuple[str, ...]
 
     def begin(self, held: Array, message: RobMessage) -> None:
-        """RSI begins with the axes commanded to ``held (n,)`` [deg] and this message; raises RsiError."""
+        """Starts with the axes at the setpoint ``held (n,)`` [deg] and the first message; raises RsiError."""
 
     def of(self, q: Array) -> Array:
-        """The whole correction ``(m,)`` that leads from the begin to joint angles ``q (n,)`` [rad]."""
+        """The whole correction ``(m,)`` from the start to joint angles ``q (n,)`` [rad]."""
 
     def joints(self, correction: Array) -> Array:
-        """Joint angles ``(n,)`` [rad] that a whole correction ``(m,)`` leads to."""
+        """Joint angles ``(n,)`` [rad] of a whole correction ``(m,)``."""
 
     def between(self, before: Array, after: Array) -> Array:
-        """The increment ``(m,)`` that leads from one whole correction to another."""
+        """The increment ``(m,)`` from one whole correction to another."""
 
     def behind(self, before: Array, increment: Array) -> Array:
-        """The whole correction ``(m,)`` behind an increment."""
+        """The whole correction ``(m,)`` after an increment."""
 
     def unusable(self, q: Array, relative: bool) -> str | None:
         """Why joint angles ``q (n,)`` [rad] cannot be commanded as corrections; None where they can."""
 
     def contradiction(self, message: RobMessage) -> str | None:
-        """What a message says that cannot be, if these corrections lead to where they shall; None where it fits."""
+        """Why a message contradicts these corrections, in words; None where it agrees."""
 
 
 class AxisCorrections:
-    """Corrections of the axes, one number a joint [deg].
+    """Corrections of the axes, one number per joint [deg].
 
     Args:
-        axes: how the controller counts.
+        axes: directions and zeros of the controller's axes.
         n: number of joints.
     """
 
@@ -85,33 +85,33 @@ class AxisCorrections:
         self._axes, self._begin = axes, np.zeros(n)
 
     def begin(self, held: Array, message: RobMessage) -> None:
-        """See ``Corrections``."""
+        """Starts with the axes at the setpoint ``held (n,)`` [deg] and the first message; see ``Corrections``."""
         del message
         self._begin = held.copy()
 
     def of(self, q: Array) -> Array:
-        """See ``Corrections``."""
+        """The whole correction ``(m,)`` from the start to joint angles ``q (n,)`` [rad]; see ``Corrections``."""
         return np.asarray(self._axes.angles(q) - self._begin)
 
     def joints(self, correction: Array) -> Array:
-        """See ``Corrections``."""
+        """Joint angles ``(n,)`` [rad] of a whole correction ``(m,)``; see ``Corrections``."""
         return self._axes.joints(self._begin + correction)
 
     def between(self, before: Array, after: Array) -> Array:
-        """See ``Corrections``."""
+        """The increment ``(m,)`` from one whole correction to another; see ``Corrections``."""
         return np.asarray(after - before)
 
     def behind(self, before: Array, increment: Array) -> Array:
-        """See ``Corrections``."""
+        """The whole correction ``(m,)`` after an increment; see ``Corrections``."""
         return np.asarray(before + increment)
 
     def unusable(self, q: Array, relative: bool) -> str | None:
-        """See ``Corrections``."""
+        """Why joint angles ``q (n,)`` [rad] cannot be commanded as corrections; see ``Corrections``."""
         del q, relative
         return None
 
     def contradiction(self, message: RobMessage) -> str | None:
-        """See ``Corrections``."""
+        """Why a message contradicts these corrections, in words; None where it agrees; see ``Corrections``."""
         del message
         return None
 
@@ -120,10 +120,10 @@ class PoseCorrections:
     """Corrections of the tool's pose: X, Y, Z [mm], A, B, C [deg].
 
     Args:
-        robot: its geometry up to its tool's frame, and the table ``[rsi]``: ``reference``, what the corrections are
-            told in, ``"base"`` (default) or ``"tool"``; ``base``, the program's base X, Y, Z [mm], A, B, C [deg] in
+        robot: its geometry up to its tool's frame, and the table ``[rsi]``: ``reference``, the frame of the
+            corrections, ``"base"`` (default) or ``"tool"``; ``base``, the program's base X, Y, Z [mm], A, B, C [deg] in
             the frame of the arm's foot (default: the foot).
-        axes: how the controller counts its axes.
+        axes: directions and zeros of the controller's axes.
 
     Raises:
         InputError: an arm that has not six joints, a table that cannot be used.
@@ -150,7 +150,7 @@ class PoseCorrections:
         self._near, self._start = robot.home.copy(), pin.SE3.Identity()
 
     def begin(self, held: Array, message: RobMessage) -> None:
-        """See ``Corrections``."""
+        """Starts with the axes at the setpoint ``held (n,)`` [deg] and the first message; see ``Corrections``."""
         if message.pose is None:
             raise RsiError("RIst is missing; add DEF_RIst to what the controller sends")
         self._tool = (self._base * self._flange(self._axes.joints(message.actual))).inverse() * _frame(message.pose)
@@ -159,7 +159,7 @@ class PoseCorrections:
         self.starts(self._near)
 
     def of(self, q: Array) -> Array:
-        """See ``Corrections``."""
+        """The whole correction ``(m,)`` from the start to joint angles ``q (n,)`` [rad]; see ``Corrections``."""
         self._near = q
         pose = self._pose(q)
         if self._in_tool:
@@ -167,7 +167,7 @@ class PoseCorrections:
         return _numbers(pin.SE3(pose.rotation @ self._from.rotation.T, pose.translation - self._from.translation))
 
     def joints(self, correction: Array) -> Array:
-        """See ``Corrections``: the solution nearest to the last command; raises RsiError where there is none."""
+        """Joint angles ``(n,)`` [rad] of a correction, nearest to the last command; RsiError where there are none."""
         step = _frame(correction)
         wanted = self._from * step if self._in_tool else pin.SE3(
             step.rotation @ self._from.rotation, self._from.translation + step.translation)
@@ -181,21 +181,21 @@ class PoseCorrections:
         raise RsiError("where the controller has the tool has no posture near the one commanded last")
 
     def between(self, before: Array, after: Array) -> Array:
-        """See ``Corrections``."""
+        """The increment ``(m,)`` from one whole correction to another; see ``Corrections``."""
         a, b = _frame(before), _frame(after)
         if self._in_tool:
             return _numbers(a.inverse() * b)
         return _numbers(pin.SE3(b.rotation @ a.rotation.T, b.translation - a.translation))
 
     def behind(self, before: Array, increment: Array) -> Array:
-        """See ``Corrections``."""
+        """The whole correction ``(m,)`` after an increment; see ``Corrections``."""
         a, step = _frame(before), _frame(increment)
         if self._in_tool:
             return _numbers(a * step)
         return _numbers(pin.SE3(step.rotation @ a.rotation, a.translation + step.translation))
 
     def unusable(self, q: Array, relative: bool) -> str | None:
-        """See ``Corrections``: near a singularity, or turned so far that an angle may jump."""
+        """Why angles ``q (n,)`` [rad] cannot be commanded: near a singularity, or an angle may jump; else None."""
         J = pin.computeFrameJacobian(self._model, self._data, q, self._frame)
         J[:3] /= self._length
         if float(np.linalg.svd(J, compute_uv=False)[-1]) < _LEAST_GAIN:
@@ -207,11 +207,11 @@ class PoseCorrections:
         return None
 
     def starts(self, q: Array) -> None:
-        """A path that is tried with ``unusable`` starts at ``q (n,)`` [rad]."""
+        """Resets the check ``unusable`` to a path that starts at ``q (n,)`` [rad]."""
         self._start = self._flange(q)
 
     def contradiction(self, message: RobMessage) -> str | None:
-        """See ``Corrections``: the pose reported is not that of the axes reported."""
+        """Why a message contradicts these corrections: its pose is not that of its axes; None where it agrees."""
         if message.pose is None:
             return None
         off = self._pose(self._axes.joints(message.actual)).actInv(_frame(message.pose))
@@ -243,17 +243,17 @@ def _numbers(frame: pin.SE3) -> Array:
 
 
 def corrections_of(robot: Robot, axes: Axes, pose: bool) -> Corrections:
-    """How the arm is corrected; raises InputError where it cannot be.
+    """The conversion for an arm's kind of corrections; raises InputError where it is not possible.
 
     Args:
-        robot, axes: the arm, and how the controller counts its axes.
+        robot, axes: the arm, and directions and zeros of the controller's axes.
         pose: whether its tool's pose is corrected; else its axes.
     """
     return PoseCorrections(robot, axes) if pose else AxisCorrections(axes, robot.n)
 
 
 def require_led(q_d: Array, robot: Robot, *, relative: bool, file: str) -> None:
-    """Refuses a path that corrections of the pose cannot lead along.
+    """Raises InputError for a path that corrections of the pose cannot follow.
 
     Args:
         q_d: desired positions at the cycles ``(N, n)`` [rad].
@@ -261,7 +261,7 @@ def require_led(q_d: Array, robot: Robot, *, relative: bool, file: str) -> None:
         relative: whether corrections are increments.
 
     Raises:
-        InputError: with the time of the first row that cannot be told.
+        InputError: with the time of the first impossible row.
     """
     tried = PoseCorrections(robot, Axes.of(robot))
     tried.starts(q_d[0])

@@ -1,7 +1,7 @@
-"""Packets from one controller and answers to it: the sockets, who the controller is, and what does not count.
+"""The UDP link to one controller: its sockets, the identification of the controller, and rejected packets.
 
-The sender of the first sound packet is the controller. From then on the system itself keeps its packets apart: they
-come through a socket that is connected to it, so that whoever floods the port fills another queue.
+The sender of the first valid packet is the controller. From then on its packets come through a socket connected to it,
+so that other packets at the port fill another queue.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ideal_robot.deadline import Deadline
 from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.rsi.message import MAX_PACKET, PacketError, RobMessage, RsiError, RsiFormat, parse_rob
 
-# When a packet came, by the system's word: a program that was not let run meanwhile does not take it for late.
+# Arrival times of packets by the system, so that a delay of this program does not make them look late.
 
 _TIMESTAMP = 35
 """``SO_TIMESTAMPNS`` of Linux, which Python does not name."""
@@ -26,15 +26,15 @@ _STAMPED = sys.platform.startswith("linux")
 
 
 def stamp_arrivals(link: socket.socket) -> None:
-    """From now on the system notes when each packet comes, where it can."""
+    """Makes the system record the arrival time of each packet, where it can."""
     if _STAMPED:
         link.setsockopt(socket.SOL_SOCKET, _TIMESTAMP, 1)
 
 
 def received(link: socket.socket, size: int = 4096) -> tuple[bytes, Any, float]:
-    """A packet, its sender, and when it came, by ``time.perf_counter`` [s]; raises as ``recvfrom`` does.
+    """A packet, its sender, and its arrival time by ``time.perf_counter`` [s]; raises as ``recvfrom`` does.
 
-    Without ``stamp_arrivals`` what counts is when the packet, of at most ``size`` bytes, is read.
+    Without ``stamp_arrivals`` the time of reading is used. A packet has at most ``size`` bytes.
     """
     if not _STAMPED:
         return *link.recvfrom(size), time.perf_counter()
@@ -43,12 +43,12 @@ def received(link: socket.socket, size: int = 4096) -> tuple[bytes, Any, float]:
     for level, kind, data in extra:
         if (level, kind) == (socket.SOL_SOCKET, _TIMESTAMP):
             seconds, nanoseconds = struct.unpack("@ll", data[: struct.calcsize("@ll")])
-            # A clock that was set meanwhile must not make it come before it was sent, nor in the future.
+            # A system clock that was reset must not give an arrival before the packet was sent, or in the future.
             return packet, sender, now - min(max(wall - (seconds + 1e-9 * nanoseconds), 0.0), 1.0)
     return packet, sender, now
 
 
-# How a controller's time stamps rise, found from its first packets: by the cycle in ms, by one, or not at all.
+# Increase of a controller's time stamps, from its first packets: the cycle in ms, one, or none.
 
 _RANGE = 2**32
 """Where a 32-bit time stamp starts anew."""
@@ -65,7 +65,7 @@ class Stamps:
         step: interpolation cycle [ms].
 
     Attributes:
-        rise: what the stamp rises by in a cycle, 0 if it never rises; None until it is known.
+        rise: increase of the stamp per cycle, 0 if it never rises; None until it is known.
         in_step: whether two packets in a row have come.
     """
 
@@ -92,17 +92,17 @@ class Stamps:
         cycles = since // self.rise
         self.in_step = self.in_step or cycles == 1
         self._steps += 1
-        # One large step is a loss, three from the start are another cycle time.
+        # One large step is a loss, three at the start are another cycle time.
         if not self.in_step and self._steps >= _SLOW_START:
             raise self._wrong(since)
         return cycles
 
     def newer(self, before: int, after: int) -> bool:
-        """Whether of two packets that wait the second came after the first."""
+        """Whether the second of two waiting packets is newer than the first."""
         return self.rise == 0 or (after - before + _RANGE // 2) % _RANGE > _RANGE // 2
 
     def described(self) -> str:
-        """How the controller's time stamps rise, in words."""
+        """Increase of the controller's time stamps, in words."""
         if self.rise is None:
             return "not known"
         return {0: "do not rise: repeated and late packets cannot be recognised",
@@ -119,7 +119,7 @@ class Stamps:
     def _found(self, since: int) -> int:
         if since % self.step == 0:
             return self.step
-        # No controller has a cycle of 2 or 3 ms: that is a stamp that counts packets, and one that was lost.
+        # No controller has a cycle of 2 or 3 ms: the stamp counts packets, and one or two were lost.
         if since <= 3:
             return 1
         raise self._wrong(since)
@@ -139,20 +139,21 @@ _READ = 8
 
 @dataclass
 class LinkCounts:
-    """What happened on the link.
+    """Statistics of the link.
 
     Attributes:
         cycles: packets that were a cycle of their own.
-        lost: cycles whose packet never came, or was found when a newer one was there already.
+        lost: cycles whose packet never came, or only after a newer one.
         repeated: packets that came again and got the same answer again.
         outdated: packets of a cycle already past; not answered.
         refused: packets that are no message of a controller, or with a time stamp that cannot be; not answered.
         foreign: packets from another sender, or another port; not answered. In a flood the system drops most uncounted.
-        second: those of them that are sound messages of a controller.
+        second: those of them that are valid messages of a controller.
         ignored: optional elements that could not be used.
-        implausible: measured positions that cannot be; they count as missing.
-        late: answers the controller counted as late.
-        resynchronised: times the measured position at rest told where relative corrections have led.
+        implausible: implausible measured positions, which are treated as missing.
+        late: answers that the controller reported as late.
+        resynchronised: number of times that the position after relative corrections was read from the measurement at
+            rest.
         unsent: answers the system did not take.
         last_refused: why the last refused packet was refused.
         last_ignored: which optional elements were ignored last.
@@ -190,19 +191,19 @@ class LinkCounts:
 
 
 class PacketLink:
-    """A UDP socket on which one controller is listened to: the sender of the first sound packet.
+    """A UDP socket for one controller, the sender of the first valid packet.
 
     Args:
         host, port: where to listen; port 0 for any free one.
         n: number of axes.
-        controller: the one address whose packets count; None for whoever is first.
-        form: what a packet has to hold besides, see ``parse_rob``.
+        controller: the only accepted address; None for the first sender.
+        form: further required elements of a packet, see ``parse_rob``.
 
     Raises:
         InputError: an address that cannot be listened on.
 
     Attributes:
-        counts: what happened.
+        counts: statistics of the link.
         arrived: when the last sound packet came, by ``time.perf_counter`` [s].
     """
 
@@ -222,13 +223,13 @@ class PacketLink:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens: host and port."""
+        """Host and port on which it listens."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
 
     @property
     def controller(self) -> str:
-        """Who the controller is, as soon as it is known."""
+        """Address of the controller, once it is known."""
         return "" if self._peer is None else "{}:{}".format(*self._peer)
 
     def next(self, deadline: Deadline) -> RobMessage:
@@ -246,13 +247,13 @@ class PacketLink:
         raise RsiError(f"no packet from the controller within {deadline.seconds:.3g} s{known}{self.counts.others}")
 
     def newest(self, message: RobMessage, stamps: Stamps, most: int = _QUEUE) -> tuple[RobMessage, int]:
-        """The newest of ``message`` and those that wait, and how many were passed over for it.
+        """The newest of ``message`` and the waiting ones, and the number that was skipped.
 
-        Whoever answers the oldest of a queue is late for ever. Raises RsiError where the system closed the port.
+        Answering the oldest of a queue would always be late. Raises RsiError where the system closed the port.
 
         Args:
             message, stamps: a message that came before them, and which of two is newer.
-            most: packets that are looked through at most.
+            most: largest number of packets to read.
         """
         self._socket.settimeout(0.0)
         passed_over = 0
@@ -272,7 +273,7 @@ class PacketLink:
         return message, passed_over
 
     def send(self, answer: bytes) -> None:
-        """Sends to the controller, if there is one; what the system does not take is an answer that is missing."""
+        """Sends to the controller, if there is one; a packet that the system refuses is a missing answer."""
         if self._peer is not None:
             try:
                 self._sent(answer, self._peer)
@@ -292,7 +293,7 @@ class PacketLink:
         try:
             self._socket.send(answer)
         except ConnectionRefusedError:
-            # What is reported here is that an earlier answer found nobody; this one has not been sent.
+            # An error here is about an earlier answer; this one has not been sent yet and is sent again.
             self._socket.send(answer)
 
     def _read(self) -> RobMessage | None:
@@ -305,7 +306,7 @@ class PacketLink:
             packet, sender, arrived = (self._waiting.popleft() if self._waiting
                                        else received(self._socket, MAX_PACKET + 1))
         except ConnectionError:
-            # Some systems report here that an earlier answer found no one; the silence will show it.
+            # Some systems report here that an earlier answer had no receiver; a silence will show it.
             return None
         except (TimeoutError, BlockingIOError):
             raise
@@ -331,11 +332,11 @@ class PacketLink:
         """Keeps the packets of the controller apart from all others, where the system can."""
         self._peer, (host, port) = peer, self.address
         if not sys.platform.startswith("linux") or host == "0.0.0.0":
-            # Listening on every address, the system would have to guess to which of them it is sent.
+            # On a socket for every address the local address of a packet is unknown, so no connected socket is made.
             return
         wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            # Only between these two lines may the port have a second owner, which is this program.
+            # Only between these two lines may the port have a second owner, also of this program.
             for owner in (self._door, wire):
                 owner.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             wire.bind((host, port))

@@ -1,9 +1,8 @@
-"""KUKA RSI's two messages: the controller's ``<Rob>`` and our answer ``<Sen>``.
+"""KUKA RSI's two messages: the controller's ``<Rob>`` and this program's answer ``<Sen>``.
 
-Whatever comes over the network is suspect: size, structure and every number are checked before they count. What is
-needed (``IPOC``, ``AIPos``) has to be sound, or the packet is refused; what is optional and not sound is passed over
-and named. A packet is scanned once from left to right and nothing is built from it but the numbers, so that rubbish
-costs neither memory nor work for the garbage collection.
+Size, structure and every number of a packet are checked. If a required element (``IPOC``, ``AIPos``) is invalid, the
+packet is refused; invalid optional elements are skipped and named. A packet is scanned once from left to right and
+nothing is built from it but the numbers, so that invalid packets cost no memory.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from ideal_robot.robots.robot import Robot
 # Errors of the connection to a controller.
 
 class RsiError(IdealRobotError):
-    """The link to the controller cannot go on; the arm stays where the controller holds it."""
+    """The link to the controller cannot continue; the arm stays at the controller's setpoint."""
 
 
 class PacketError(RsiError):
-    """A packet that is no message of a controller; it is counted and gets no answer."""
+    """The packet is not a valid message of a controller; it is counted and not answered."""
 
 
-# How one controller's messages are named: tags, sender type, decimals; read from its own RSI ethernet XML if given.
+# Names in one controller's messages: tags, sender type, decimals; from its RSI ethernet XML if given.
 
 
 _NAME = re.compile(r"[A-Za-z_][\w.-]{0,63}", re.ASCII)
@@ -41,17 +40,16 @@ _NAME = re.compile(r"[A-Za-z_][\w.-]{0,63}", re.ASCII)
 
 @dataclass(frozen=True)
 class RsiFormat:
-    """What a controller calls the parts of its messages.
+    """Names of the parts of a controller's messages.
 
     Attributes:
         correction: element with the corrections in our answer; ``AK``, ``AKorr``, ``RKorr`` …
         sender: ``Type`` of our answer, ``SENTYPE`` in the controller's configuration.
         decimals: decimals of a correction in degrees or millimetres.
-        hold_on: what the controller takes where no answer came in time: the last values again, or none. None where
-            nothing says so.
+        hold_on: the controller's correction if no answer came in time: the last values, or none. None where unknown.
         port: UDP port to which the controller sends, where its configuration says so.
         pose: whether the tool's pose is corrected (``X`` to ``C``), in the place of the axes (``A1`` …).
-        held: external axes that the controller takes corrections of, ``EK.E1`` …: they are told zeros.
+        held: external axes with corrections, ``EK.E1`` …: zeros are sent.
 
     Raises:
         InputError: a name that no XML element may have, another number of decimals than 1 to 9.
@@ -74,7 +72,7 @@ class RsiFormat:
 
     @cached_property
     def still(self) -> str:
-        """The part of an answer that holds external axes."""
+        """The part of an answer with zero corrections of external axes."""
         groups: dict[str, list[str]] = {}
         for name in self.held:
             group, _, axis = name.partition(".")
@@ -85,7 +83,7 @@ class RsiFormat:
 
     @classmethod
     def read(cls, file: str | Path, n: int, correction: str | None = None) -> RsiFormat:
-        """From the controller's RSI ethernet XML (``CONFIG``, ``SEND``, ``RECEIVE``).
+        """Reads the format from the controller's RSI ethernet XML (``CONFIG``, ``SEND``, ``RECEIVE``).
 
         Args:
             file, n: the file as it lies on the controller, and the number of axes.
@@ -177,7 +175,7 @@ def _unsupported(received: dict[str, dict[str, str]], n: int, wanted: str | None
 def _root(file: Path) -> ElementTree.Element:
     """The root of a configuration that is small and declares nothing."""
     if not file.is_file():
-        # One that is read without an end, or waits for a writer, is none either.
+        # A device or a pipe, which may never end, is not a file either.
         raise InputError("cannot be read: no such file", file=file)
     try:
         with file.open("rb") as stream:
@@ -185,7 +183,7 @@ def _root(file: Path) -> ElementTree.Element:
     except OSError as error:
         raise InputError(f"cannot be read ({error})", file=file) from error
     RSI_BYTES.check(len(text), file)
-    # Entities are how small files become large ones; a zero byte is how UTF-16 would hide them from this check.
+    # Entities can expand small files to large ones; zero bytes of UTF-16 would hide them from this check.
     if b"\0" in text or b"<!DOCTYPE" in text or b"<!ENTITY" in text:
         raise InputError("holds a document type, an entity or zero bytes; none has a place here", file=file)
     try:
@@ -206,7 +204,7 @@ _BLANKS = " \t\r\n"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"\d{1,18}", re.ASCII)
 _LATE = re.compile(r"(\d{1,9})(?:\.0*)?", re.ASCII)
-# Possessive quantifiers: no input makes the scan go back, so its time grows with the packet's length and not faster.
+# Possessive quantifiers prevent backtracking, so the time is linear in the packet's length.
 _TAG = re.compile(r"""<(?:!--.*?--|\?.*?\?|(?P<end>/)?+(?P<name>[^\s<>/="'!?]++)
                       (?P<attributes>(?:\s++[^\s<>/="']++\s*+=\s*+(?:"[^"<]*+"|'[^'<]*+'))*+)\s*+(?P<empty>/)?+)>""",
                   re.VERBOSE | re.DOTALL | re.ASCII)
@@ -218,17 +216,17 @@ _Element = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class RobMessage:
-    """The message of a controller in one cycle; angles as it counts them, in degrees.
+    """The message of a controller in one cycle; angles in degrees with the controller's directions and zeros.
 
     Attributes:
         ipoc: the controller's time stamp of the cycle; the answer has to repeat it.
         actual: measured axis angles ``(n,)`` [deg], ``AIPos``.
         setpoint: commanded axis angles ``(n,)`` [deg], ``ASPos``; None where it is not sent.
         current: motor currents ``(n,)``, ``MACur``; None where it is not sent.
-        late: answers the controller has counted as late, ``Delay``; None where it is not sent.
+        late: number of late answers by the controller, ``Delay``; None where it is not sent.
         pose: measured pose of the tool X, Y, Z [mm], A, B, C [deg], ``RIst``; None where it is not sent.
         external: measured external axes ``E1`` … [deg or mm], ``EIPos``; None where they are not sent.
-        ignored: optional elements that stood there and could not be used.
+        ignored: optional elements that could not be used.
     """
 
     ipoc: int
@@ -253,7 +251,7 @@ def parse_rob(packet: bytes, n: int, form: RsiFormat | None = None) -> RobMessag
     """
     if len(packet) > MAX_PACKET:
         raise PacketError(f"packet has more than {MAX_PACKET} bytes")
-    # What counts is ASCII; Latin-1 gives every other byte some character without ever failing.
+    # Only ASCII is used; Latin-1 decodes every other byte without failing.
     text = packet.rstrip(b"\0 \t\r\n").decode("latin-1")
     if "\0" in text or "<![" in text or "<!D" in text or "<!E" in text:
         raise PacketError("packet holds a declaration, an entity or a zero byte")
@@ -294,7 +292,7 @@ def parse_rob(packet: bytes, n: int, form: RsiFormat | None = None) -> RobMessag
 
 
 def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
-    """The answer with corrections.
+    """Formats the answer with corrections.
 
     Args:
         correction: of the axes ``(n,)`` [deg], or of the pose ``(6,)`` [mm, deg].
@@ -374,7 +372,7 @@ def _values(elements: dict[str, list[_Element]], tag: str, names: Sequence[str],
 
 
 def _number(tag: str, name: str, text: str) -> float:
-    # Not strip() without an argument: what Python takes for blanks, the pattern above or float() may not.
+    # Not strip() without an argument, as Python's blanks differ from those of the pattern and of float().
     if _NUMBER.fullmatch(text := text.strip(_BLANKS)) is None or not math.isfinite(value := float(text)):
         raise PacketError(f"{tag} {name} is no finite number ({text[:40]!a})")
     return value
@@ -384,12 +382,12 @@ def _number(tag: str, name: str, text: str) -> float:
 
 @dataclass(frozen=True)
 class Axes:
-    """``q = sign · (A - zero)``, joint by joint.
+    """Directions and zeros of a controller's axes: ``q = sign · (A - zero)``, joint by joint.
 
     Attributes:
-        sign: 1, or -1 where the controller counts against the URDF's axis ``(n,)``.
-        zero: what the controller shows where the URDF's angle is zero ``(n,)`` [deg].
-        known: whether the robot's data said so, or nothing is known and both are taken to count alike.
+        sign: 1, or -1 where the controller's direction is opposite to the URDF's ``(n,)``.
+        zero: the controller's angle where the URDF's is zero ``(n,)`` [deg].
+        known: whether the values are from the robot's data, or assumed equal.
     """
 
     sign: Array
@@ -398,7 +396,7 @@ class Axes:
 
     @classmethod
     def of(cls, robot: Robot) -> Axes:
-        """From the table ``[rsi]`` of the robot's data: ``axis_sign`` and ``axis_zero`` [deg].
+        """The axes by the table ``[rsi]`` of the robot's data: ``axis_sign`` and ``axis_zero`` [deg].
 
         Raises InputError for a sliding joint, wrong length or values.
         """
@@ -412,15 +410,15 @@ class Axes:
         return cls(sign, _per_axis(table, "axis_zero", np.zeros(robot.n)), "axis_sign" in table)
 
     def joints(self, angles: Array) -> Array:
-        """Joint angles ``(n,)`` [rad] of axis angles [deg]."""
+        """Joint angles ``(n,)`` [rad] from axis angles [deg]."""
         return np.asarray(self.sign * np.radians(angles - self.zero))
 
     def turned(self, degrees: Array) -> Array:
-        """Changes of joint angles ``(n,)`` [rad] of changes of axis angles [deg]."""
+        """Changes of joint angles ``(n,)`` [rad] from changes of axis angles [deg]."""
         return np.asarray(self.sign * np.radians(degrees))
 
     def angles(self, q: Array) -> Array:
-        """Axis angles ``(n,)`` [deg] of joint angles [rad]."""
+        """Axis angles ``(n,)`` [deg] from joint angles [rad]."""
         return np.asarray(self.sign * np.degrees(q) + self.zero)
 
 

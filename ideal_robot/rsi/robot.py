@@ -22,13 +22,12 @@ from ideal_robot.rsi.corrections import Corrections, corrections_of
 from ideal_robot.rsi.link import PacketLink, Stamps
 from ideal_robot.rsi.message import Axes, RobMessage, RsiError, RsiFormat, format_sen
 
-# Which corrections the controller has in force: it is told what was sent and what of it came too late.
+# The correction that the controller uses, from sent answers and late ones.
 
 class InForce:
-    """The whole correction in force at the controller, ``position``, and its last change, ``step``, ``(m,)``.
+    """The correction that the controller uses: ``position`` as a whole, and ``step``, its last change, ``(m,)``.
 
-    In a cycle without an answer the controller goes on as in the last one (increments that are held on) where it
-    ``repeats``, or stays where it was commanded.
+    In a cycle without an answer the controller repeats the last increment if it ``repeats``, or stays at its setpoint.
 
     Args:
         corrections: how increments follow each other.
@@ -41,13 +40,13 @@ class InForce:
         self._sent: Array | None = None
 
     def send(self, position: Array) -> None:
-        """The answer to this cycle asks for ``position (m,)``."""
+        """Stores that the answer to this cycle commands ``position (m,)``."""
         self._sent = position
 
     def advance(self, used: bool, missed: int) -> bool:
-        """The next packet is there: whether the answer was used, and cycles behind it that had none.
+        """Advances by a packet: whether the answer was used, and the number of missed cycles after it.
 
-        Returns whether anything is otherwise than the answer asked for.
+        Returns whether the position differs from the commanded one.
         """
         if used and self._sent is not None:
             self.position, self.step = self._sent, self._corrections.between(self.position, self._sent)
@@ -63,11 +62,11 @@ class InForce:
 
     @property
     def asks(self) -> bool:
-        """Whether the answer to this cycle asks for anything else than what is in force."""
+        """Whether the answer to this cycle changes the position in use."""
         return self._sent is not None and not np.array_equal(self._sent, self.position)
 
     def is_at(self, position: Array) -> None:
-        """The controller turned out to be at rest at ``position (m,)``."""
+        """Sets the position to ``position (m,)``, at which the controller was measured at rest."""
         self.position, self.step, self._sent = position, self._nothing, None
 
 
@@ -96,11 +95,11 @@ _EXTERNAL_MOVES = 0.05
 
 
 class RsiRobot(LinkedRobot):
-    """A ``RobotInterface`` to an arm whose controller speaks RSI; listens as soon as it is made.
+    """A ``RobotInterface`` to an arm whose controller speaks RSI; listens from its creation on.
 
     Absolute corrections are the whole difference from where the arm was commanded when RSI began; relative ones are
-    what is added in this cycle, of the axes or of the tool's pose, as ``form`` has it. What is sent is rounded, and the
-    rest of the rounding is made good in the next cycle.
+    what is added in this cycle, of the axes or of the tool's pose, as ``form`` has it. Sent values are rounded; the
+    rounding error is added in the next cycle.
 
     Args:
         robot: number of joints, limits, cycle time, drive gains and ``[rsi]`` axes.
@@ -109,8 +108,8 @@ class RsiRobot(LinkedRobot):
         relative: whether the controller takes the corrections as relative.
         form: tags, sender type, decimals and what the controller does without an answer.
         controller: address of the controller; None for whoever sends the first sound packet.
-        timeout: silence of the controller after which the link counts as broken [s].
-        bridge: how long packets may be lost in a row [s]; not counted until the first two in a row have come.
+        timeout: silence of the controller after which the link is taken as broken [s].
+        bridge: longest loss of packets in a row [s]; it applies once two in a row have come.
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
     Raises:
@@ -119,10 +118,10 @@ class RsiRobot(LinkedRobot):
             six joints.
 
     Attributes:
-        counts: what happened on the link.
-        corrections: how joint angles are told the controller.
+        counts: statistics of the link.
+        corrections: conversion of joint angles to corrections.
         stamps: how the controller's time stamps rise.
-        too_fast: times the expected pace at which packets count as those of another cycle, where stamps do not tell it.
+        too_fast: multiple of the expected packet rate that indicates another cycle time, where stamps do not show it.
     """
 
     def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = 49152, relative: bool = False,
@@ -149,7 +148,7 @@ class RsiRobot(LinkedRobot):
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens: host and port."""
+        """Host and port on which it listens."""
         return self._link.address
 
     @property
@@ -159,19 +158,19 @@ class RsiRobot(LinkedRobot):
 
     @property
     def settled(self) -> bool:
-        """Whether what is in force is what was wanted: nothing missed and not yet found or made good."""
+        """Whether the controller's setpoint is the desired one, without an offset from missed cycles."""
         return super().settled and not self._in_doubt
 
     @property
     def meta(self) -> dict[str, Any]:
-        """How corrections are taken."""
+        """Kind of corrections, for the recording's metadata."""
         return {"corrections": ("relative" if self.relative else "absolute")
                                + (" of the pose" if self.form.pose else "")}
 
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Waits for the controller's first packet; who sends it is the controller from then on.
+        """Waits for the controller's first packet; its sender is the controller from then on.
 
-        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+        Returns the state at rest, ``t = 0``. ``commanded`` is then the controller's setpoint.
 
         Raises:
             RsiError: no packet within ``patience`` [s]; a second controller sends, too; the measured arm is elsewhere
@@ -196,13 +195,13 @@ class RsiRobot(LinkedRobot):
         self._step, self._lost = np.zeros(self.robot.n), None
         self.commanded = self._wanted = self.axes.joints(held)
         if self.relative and first.late is None:
-            # Increments may get lost without a word: they add up until the next rest.
+            # Lost increments may go unnoticed and add up until the next rest.
             self._watch.tolerance *= _UNTOLD
         self._watch.begin(self.commanded, self.axes.joints(first.actual))
         return self._state(first)
 
     def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: answers, leaves its time for computing; raises RsiError before ``connect``."""
+        """First half of ``cycle``: sends the answer and leaves time for computing; RsiError before ``connect``."""
         if self._first is None:
             raise RsiError("connect to the controller before a command is handed over")
         q_c = self._want(q_c)
@@ -249,7 +248,7 @@ class RsiRobot(LinkedRobot):
                 return self._advance(message, since)
 
     def close(self) -> None:
-        """Stops listening; the controller holds the arm and reports that its sensor is gone."""
+        """Stops listening; the controller keeps the arm in place and reports a lost sensor."""
         self._link.close()
 
     def _answer_with(self, correction: Array) -> None:
@@ -266,7 +265,7 @@ class RsiRobot(LinkedRobot):
     def _slowed(self) -> Array:
         """Corrections that shrink to nothing within the acceleration limit: the controller adds them up."""
         if self._shrinks is None:
-            # By joint angles: the whole correction is what the controller turns them by in a cycle.
+            # In joint angles, as the controller turns the joints by the whole correction in one cycle.
             moves = np.abs(self.commanded - self.corrections.joints(np.zeros(len(self.corrections.names))))
             self._shrinks = self._in_force.position, max(int(np.ceil(np.max(moves / self._brake))), 1)
             self._slower = 0
@@ -308,10 +307,10 @@ class RsiRobot(LinkedRobot):
         newest, waited = self._link.newest(message, self.stamps)
         further = self.stamps.cycles(message.ipoc, newest.ipoc) if newest is not message else 0
         if since + further - 1 > self.max_lost and self.stamps.in_step:
-            # A stamp far ahead in the queue is not believed before its like have come.
+            # A packet far ahead in the queue is ignored until more of the kind have come.
             newest, further = message, 0
         since += further
-        # Stamps that never rise cannot tell what was lost; what waited in the queue was.
+        # Stamps that never rise do not show losses, so packets that waited in the queue are taken as lost.
         lost = max(since - 1, waited if self.stamps.rise == 0 else 0)
         self.counts.lost += lost
         self._elapsed += 1 + lost
@@ -320,7 +319,7 @@ class RsiRobot(LinkedRobot):
         late = 0 if newest.late is None else max(newest.late - self._late, 0)
         self._late = self._late if newest.late is None else newest.late
         self.counts.late += late
-        # An increment of nothing may get lost.
+        # A zero increment may be lost without harm.
         untold = newest.late is None and self._in_force.asks
         self._in_doubt = self._in_doubt or (self.relative and (late + lost > 0 or untold))
         if self._in_force.advance(used=late <= lost, missed=lost):
@@ -333,7 +332,8 @@ class RsiRobot(LinkedRobot):
     def _check_pace(self) -> None:
         """Checks by the clock that the cycle is not much shorter, where time stamps do not show it."""
         if self.counts.cycles == 1:
-            # From the first packet after an answer: the one before it may have waited for the program to be ready.
+            # Counted from the first packet after an answer, as the one before may have waited for the program to be
+            # ready.
             self._began = self._link.arrived
         if self.stamps.rise in (None, self.stamps.step) or self.counts.cycles != _PACE:
             return

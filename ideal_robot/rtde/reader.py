@@ -1,4 +1,4 @@
-"""Reads the states of an arm behind RTDE beside whoever leads it: a controller has several clients at a time."""
+"""Reads the states of an arm behind RTDE beside another client that commands it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _ANSWERS = 5.0
 
 
 class RtdeReader(StateReader):
-    """A ``StateReader`` that takes nothing but time and joint angles, and writes no register.
+    """A ``StateReader`` that reads only time and joint angles, and writes no register.
 
     Args:
-        robot: six joints, and the cycle in which states are wanted.
+        robot: six joints, and the requested cycle of states.
         host, port: where the controller listens.
         patience: how long it is waited for [s].
 
@@ -46,7 +46,7 @@ class RtdeReader(StateReader):
             raise
 
     def read(self, timeout: float) -> list[ReportedState]:
-        """See ``StateReader.read``; raises RtdeError where the connection is broken."""
+        """States since the last call; see ``StateReader.read``. Raises RtdeError where the connection is broken."""
         return self._read(Deadline.within(timeout), quiet=True)
 
     def _read(self, deadline: Deadline, quiet: bool = False) -> list[ReportedState]:
@@ -54,7 +54,7 @@ class RtdeReader(StateReader):
         return [ReportedState(data["timestamp"][0], arrived, np.array(data["actual_q"])) for data, arrived in packages]
 
     def close(self) -> None:
-        """See ``StateReader.close``."""
+        """Closes the connection; see ``StateReader.close``."""
         self._connection.pause()
         self._connection.close()
 

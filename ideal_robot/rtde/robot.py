@@ -1,7 +1,7 @@
 """A real arm behind UR's RTDE, as one more implementation of ``RobotInterface``.
 
-The controller's program reads the commanded angles from input registers and hands them to ``servoj`` every cycle
-(docs/rsi.md holds it). The controller is the clock: a data package comes every cycle, a command goes back.
+The controller's program reads the commanded angles from input registers and passes them to ``servoj`` every cycle
+(program in docs/rsi.md). The controller is the clock: a data package comes every cycle, a command goes back.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _OUTPUTS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "target_q": "VECTOR6D
 _OPTIONAL = {"speed_scaling": "DOUBLE", "target_speed_fraction": "DOUBLE", "payload": "DOUBLE",
              "payload_cog": "VECTOR3D", "actual_tool_accelerometer": "VECTOR3D"}
 """What is read where the controller knows it."""
-AXES = 6  # a VECTOR6D has
-_MANY = 2.0**31  # cycles between two packages at most: a time stamp may be anything
+AXES = 6  # number of values in a VECTOR6D
+_MANY = 2.0**31  # largest number of cycles between two packages, as a time stamp may have any value
 _LARGEST = 1e9
 """No number is as large, in seconds, radians or ampere."""
 _PLAYING = 2
@@ -50,8 +50,8 @@ _SAFETY = {2: "protective stop", 4: "safeguard stop", 5: "emergency stop (system
 class RtdeRobot(LinkedRobot):
     """A ``RobotInterface`` to an arm whose controller speaks RTDE.
 
-    Where a cycle was missed, ``servoj`` held the arm, which does not go on by itself. ``speed`` is the speed slider
-    times the scaling of the controller's own limiter; a program that is paused is waited for (``paused``).
+    In a missed cycle ``servoj`` keeps the arm in place. ``speed`` is the speed slider times the scaling of the
+    controller's own limiter; the link waits for a paused program (``paused``).
 
     Args:
         robot: six joints, limits, cycle time, drive gains.
@@ -59,7 +59,7 @@ class RtdeRobot(LinkedRobot):
         port: TCP port.
         register: first of the six input double registers for the command; the counter of commands goes into the input
             integer register of the same number.
-        timeout: how long the next data package is waited for, or an answer; older packages do not count [s].
+        timeout: longest wait for the next data package or an answer; older packages are ignored [s].
         bridge: how long data packages may be missing [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -68,8 +68,8 @@ class RtdeRobot(LinkedRobot):
 
     Attributes:
         version: the controller's version, once connected.
-        payload: mass [kg] and its centre in the flange's frame [m] as the controller knows them, ``(4,)``; NaN where it
-            does not tell them.
+        payload: mass [kg] and its centre in the flange's frame [m] as the controller knows them, ``(4,)``; NaN where
+            they are not reported.
         gravity: its direction in the base by the tool's accelerometer at rest ``(3,)``, up to its sign; NaN where it
             is not measured.
     """
@@ -93,9 +93,9 @@ class RtdeRobot(LinkedRobot):
         self._number = 0
 
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Agrees with the controller on what is exchanged; its program runs, or is started within ``patience`` [s].
+        """Agrees on the exchanged fields; the controller's program must run or be started within ``patience`` [s].
 
-        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+        Returns the state at rest, ``t = 0``. ``commanded`` is then the controller's setpoint.
 
         Raises:
             RtdeError: no controller, another protocol, fields it does not know, an arm stopped by its safety system, a
@@ -113,7 +113,7 @@ class RtdeRobot(LinkedRobot):
             if not playing and started.passed:
                 raise RtdeError(f"the controller's program was not started within {patience:.3g} s")
             self.commanded = self._wanted = np.array(data["target_q"])
-            # Whatever stood in the registers must not be where the arm goes first.
+            # Old values in the registers must not become the arm's first target.
             link.send(self._recipe.packed(*self.commanded.tolist(), 0))
         data = self._next(Deadline.within(self._timeout))
         self._begun = self._last = data["timestamp"][0]
@@ -123,7 +123,7 @@ class RtdeRobot(LinkedRobot):
 
     @property
     def meta(self) -> dict[str, Any]:
-        """What the controller takes the arm to carry, and how it is mounted."""
+        """The controller's payload and mounting of the arm, for the recording's metadata."""
         told: dict[str, Any] = {}
         if np.isfinite(self.payload).all():
             told.update(payload_kg=float(self.payload[0]), payload_centre_m=self.payload[1:].tolist())
@@ -155,7 +155,7 @@ class RtdeRobot(LinkedRobot):
         deadline = Deadline.within(self._timeout)
         while (since := self._since(data := self._next(deadline))) <= 0:
             self.counts.outdated += 1
-            # Half of the patience: a computer that stalls in between is not blamed on the controller's silence.
+            # Half of the patience, so that a stall of this computer is not attributed to the controller.
             if deadline.left < 0.5 * self._timeout:
                 raise RtdeError(f"the controller's time stamps do not go on ({data['timestamp'][0]:.3f} s after "
                                 f"{self._last:.3f} s); its clock was set anew: begin anew, from rest")
@@ -186,7 +186,7 @@ class RtdeRobot(LinkedRobot):
         model = self.robot.pinocchio
         places = model.createData()
         pin.forwardKinematics(model, places, np.array(data["actual_q"]))
-        # The last joint's frame is the flange's in UR's own URDFs, whatever tool is behind it.
+        # In UR's own URDFs the last joint's frame is the flange's, whatever tool is attached.
         self.gravity = np.asarray(places.oMi[AXES].rotation @ felt / np.linalg.norm(felt))
         expected = np.array(model.gravity.linear)
         angle = float(np.arccos(np.clip(np.abs(self.gravity @ expected) / np.linalg.norm(expected), 0.0, 1.0)))

@@ -1,4 +1,4 @@
-"""UR's RTDE on the wire: packages with a header of size and kind, and recipes that say what a data package holds.
+"""UR's RTDE protocol: packages with a header of size and kind, and recipes of the fields in data packages.
 
 Everything is big-endian. Written from Universal Robots' public description of the Real-Time Data Exchange.
 """
@@ -18,7 +18,7 @@ from ideal_robot.errors import BAD_ADDRESS, IdealRobotError
 
 
 class RtdeError(IdealRobotError):
-    """The connection cannot go on; the controller's own program decides what the arm does then."""
+    """The connection cannot continue; the controller's own program decides about the arm."""
 
 
 MAX_PACKAGE = 4096
@@ -32,7 +32,7 @@ Values = dict[str, tuple[float, ...]]
 
 
 class Kind(IntEnum):
-    """What a package is: the letter of its header."""
+    """Kinds of packages: the letter of their header."""
 
     VERSION = ord("V")
     CONTROLLER = ord("v")
@@ -50,17 +50,17 @@ def package(kind: Kind, payload: bytes = b"") -> bytes:
 
 
 class Reader:
-    """Packages from a stream of bytes, in whatever pieces they come."""
+    """Extracts packages from a stream of bytes that arrives in any parts."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
     def feed(self, piece: bytes) -> None:
-        """What was read from the stream."""
+        """Adds bytes that were read from the stream."""
         self._bytes += piece
 
     def next(self) -> tuple[int, bytes] | None:
-        """Kind and payload of the next package, None while it is not whole; RtdeError for a size that cannot be."""
+        """Kind and payload of the next package, None while it is incomplete; RtdeError for an impossible size."""
         if len(self._bytes) < _HEADER.size:
             return None
         size, kind = _HEADER.unpack_from(self._bytes)
@@ -75,10 +75,10 @@ class Reader:
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a data package holds.
+    """Fields of a data package.
 
     Attributes:
-        number: the controller's number of the recipe; it stands at the beginning of every data package.
+        number: the controller's number of the recipe; it is the first byte of every data package.
         names: names of the fields.
         layout: how they follow each other.
         counts: how many numbers each field has.
@@ -91,9 +91,9 @@ class Recipe:
 
     @classmethod
     def agreed(cls, fields: Mapping[str, str], answer: bytes) -> Recipe:
-        """From the controller's answer to a setup with names and types: number of the recipe, types of the fields.
+        """The recipe from the controller's answer to a setup: its number, and the types of the fields.
 
-        Raises RtdeError for a field that is not known or not free, another type or number of fields.
+        Raises RtdeError for a field that is unknown or already in use, another type or number of fields.
         """
         types = answer[1:].decode("ascii", "replace").split(",")
         refused = [f"{name}: {_REFUSALS.get(reply, f'{fields[name]} is expected, the controller says {reply[:20]!a}')}"
@@ -115,12 +115,12 @@ class Recipe:
         return {name: tuple(islice(values, count)) for name, count in zip(self.names, self.counts, strict=True)}
 
     def packed(self, *values: float) -> bytes:
-        """A data package with the numbers of all fields in a row."""
+        """Encodes a data package from the numbers of all fields in a row."""
         return package(Kind.DATA, bytes((self.number,)) + self.layout.pack(*values))
 
 
 def said(payload: bytes) -> str:
-    """What a text message says."""
+    """Text of a text message."""
     length = payload[0] if payload else 0
     text = payload[1 : 1 + length].decode("utf-8", "replace")
     return "".join(letter if letter.isprintable() else " " for letter in text)
@@ -152,7 +152,7 @@ class RtdeConnection:
         except BAD_ADDRESS as error:
             raise RtdeError(f"no controller at {host}:{port} ({error}); RTDE has to be enabled in its security settings"
                             ) from error
-        # A command is one small package: it must not wait for a second one to go with it.
+        # A command is one small package, which must be sent at once.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def agree(self) -> tuple[int, int, int, int]:
@@ -170,12 +170,12 @@ class RtdeConnection:
         return major, minor, fix, build
 
     def outputs(self, fields: Mapping[str, str], frequency: float, optional: Mapping[str, str] | None = None) -> Recipe:
-        """What the controller is to send, names and types; raises as ``Recipe.agreed``.
+        """Requests the fields that the controller sends, by names and types; raises as ``Recipe.agreed``.
 
         Args:
             fields: that are needed.
             frequency: how often a second they are sent.
-            optional: that are left out where the controller does not know them.
+            optional: fields that are omitted where the controller does not have them.
         """
         wanted = {**fields, **(optional or {})}
         answer = self._asked(Kind.OUTPUTS, struct.pack(">d", frequency) + ",".join(wanted).encode())
@@ -187,11 +187,11 @@ class RtdeConnection:
         return Recipe.agreed(wanted, answer)
 
     def inputs(self, fields: Mapping[str, str]) -> Recipe:
-        """What we are to send, names and types; raises as ``Recipe.agreed``."""
+        """Requests the input fields that this program writes, by names and types; raises as ``Recipe.agreed``."""
         return Recipe.agreed(fields, self._asked(Kind.INPUTS, ",".join(fields).encode()))
 
     def start(self) -> None:
-        """Data packages from now on; raises RtdeError where the controller does not start."""
+        """Starts the data packages; raises RtdeError where the controller refuses."""
         if self._asked(Kind.START) != b"\1":
             raise RtdeError("the controller does not start to send" + self._last_text())
 
@@ -203,14 +203,14 @@ class RtdeConnection:
             return
 
     def send(self, data: bytes) -> None:
-        """A data package; raises RtdeError where the connection is broken."""
+        """Sends a data package; raises RtdeError where the connection is broken."""
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise RtdeError(f"the controller is gone ({error})" + self._last_text()) from error
 
     def newest(self, recipe: Recipe, deadline: Deadline) -> tuple[Values, float]:
-        """The newest data package that is there, waited for if there is none, and when it was read.
+        """The newest data package, waiting for one if needed, and the time of its reading.
 
         Raises RtdeError for silence, a broken connection, a package that does not fit.
         """
@@ -218,7 +218,7 @@ class RtdeConnection:
         return recipe.unpacked(payloads[-1]), arrived
 
     def every(self, recipe: Recipe, deadline: Deadline, quiet: bool = False) -> list[tuple[Values, float]]:
-        """All data packages that are there, each with the time when it was read, waited for if there is none.
+        """All available data packages with their times of reading, waiting for one if there is none.
 
         Args:
             recipe: of the packages.

@@ -1,1 +1,1 @@
-"""Recordings, and what is done to their signals before anything is fitted."""
+"""Recordings, and the processing of their signals before a fit."""

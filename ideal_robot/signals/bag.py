@@ -1,7 +1,7 @@
 """Joint states, commands, wrenches and poses out of ROS bags and MCAP files, through ``rosbags``; no ROS needed.
 
-``rosbags`` unpacks what a bag claims to hold as a whole; how much that is, is counted before, piece by piece. Of a file
-that ends within a record, as that of a killed recorder does, what is whole is read.
+``rosbags`` unpacks what a bag claims to hold as a whole; its size is therefore counted before, piece by piece. Of a
+truncated file, as of a killed recorder, the complete records are read.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _ENOUGH = 100
 _LISTED = 8
 """Names that a sentence lists."""
 _WORDS = "metadata.yaml"
-_PIECE = 1 << 20  # bytes that are read and unfolded at a time
+_PIECE = 1 << 20  # bytes read and unpacked at a time
 _MCAP = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX = 3, 4, 5, 6, 8  # op codes of MCAP's specification
@@ -58,14 +58,14 @@ def read_bag(path: Path, topic: str | None = None, joints: Sequence[str] | None 
     """Columns ``t``, ``q_i`` and, where given, ``qd_i``, ``tau_i`` (effort), ``q_c_i``, wrench and pose of a bag.
 
     It is the folder of a ROS 2 bag, or a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file. Time is that of the
-    messages' headers and starts at zero; a message without a stamp has that of the log, less the usual difference.
+    messages' headers and starts at zero; a message without a stamp gets the log's time, less the usual difference.
     Joints are numbered in the order of the first message of theirs; their names stand in the metadata under ``joints``,
-    what was left out and why under ``reading``.
+    omissions and their reasons under ``reading``.
 
     Args:
         path: the bag.
         topic: of the joint states; ``/joint_states``, or the only one of its type, if None.
-        joints: names of the joints that are wanted; those of most messages that hold most joints if None.
+        joints: names of the joints to read; by default those of the most frequent messages with the most joints.
 
     Raises:
         InputError: no bag, one that unfolds to far more than its size, no joint states in it, several topics of them,
@@ -132,7 +132,7 @@ class _Joints:
         bare = headed == 0
         if bare.all():
             return logged, 0
-        # The log is later than the header by what the wire takes.
+        # The log's time is later than the header's by the transmission delay.
         late = int(np.median(logged[~bare] - headed[~bare]))
         return np.where(bare, logged - late, headed), int(bare.sum())
 
@@ -302,7 +302,7 @@ class _Reading:
                 if name in group.names:
                     column = f"{stream}_{group.names.index(name) + 1}"
                     values = _at(stamps, at, table[:, other.names.index(name)])
-                    # Of several controllers each has its joints, or its time.
+                    # Several controllers have each their own joints, or times.
                     columns[column] = np.where(np.isnan(columns[column]), values, columns[column]) \
                         if column in columns else values
         for stream, names_of in (("wrench", _WRENCH), ("tcp", _TCP)):
@@ -344,7 +344,7 @@ def _some(names: Sequence[str], most: int = _LISTED) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-# What a killed recorder has left.
+# Repairs files of killed recorders.
 
 def _whole(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
     """The bag's files as readers can open them, those that end within a record mended; and what there is to say."""
@@ -431,7 +431,7 @@ def _mend_db3(file: Path, mended: Path) -> float:
     with raw.open("r+b") as stream:
         size, said = _pages(stream.read(100))
         there = raw.stat().st_size // max(size, 1)
-        # Its number of pages is what keeps the library from reading those that are there.
+        # The number of pages in the header would keep the library from reading the existing ones.
         stream.seek(28)
         stream.write(struct.pack(">I", there))
     messages = 0
@@ -439,7 +439,7 @@ def _mend_db3(file: Path, mended: Path) -> float:
             sqlite3.connect(mended)) as new:
         for name, sql in _stored(old):
             new.execute(sql)
-            with suppress(sqlite3.DatabaseError):  # where the pages end
+            with suppress(sqlite3.DatabaseError):  # the first incomplete page ends the data
                 for row in old.execute(f"SELECT * FROM {name}"):
                     new.execute(f"INSERT INTO {name} VALUES ({', '.join('?' * len(row))})", row)
                     messages += name == "messages"
@@ -460,7 +460,7 @@ def _records_of_begun_chunk(stream: IO[bytes], size: int, file: Path) -> Iterato
     while True:
         try:
             piece = next(pieces, None)
-        except Exception:  # where the packed bytes end each library raises its own
+        except Exception:  # at the truncated end each library raises its own exception
             return
         if piece is None:
             return
@@ -478,7 +478,7 @@ def _records_of_begun_chunk(stream: IO[bytes], size: int, file: Path) -> Iterato
             waiting = waiting[9 + length :]
 
 
-# How much a bag unpacks to, without unpacking it. Readers go by indices: these have to agree with what is there.
+# Counts the unpacked size of a bag without unpacking it. Readers use indices, which have to agree with the content.
 
 def _check_unfolding(file: Path, folded: int = 0) -> None:
     """Refuses a file that unfolds to far more than its size, or to records that cannot be; one of no bag passes.

@@ -1,6 +1,6 @@
-"""What a channel is before anything is fitted to it: dead, stepped, clipped, filtered before it was logged.
+"""Checks channels before a fit: dead, quantised, clipped, or filtered before logging.
 
-Each finding says what was seen and what to do about it. None changes the data; a dead channel is left out of fits.
+Each finding has a remedy. None changes the data; a dead channel is not fitted.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ _JITTER = 0.02
 
 @dataclass(frozen=True)
 class ChannelFinding:
-    """Something about one column.
+    """A finding about one column.
 
     Attributes:
         kind: ``dead``, ``stepped``, ``clipped``, ``filtered`` or ``irregular-stamps``.
         column: e.g. ``tau_3``.
         joint: counted from 0; -1 for the time stamps.
-        text: what was seen and what to do, one sentence.
+        text: the finding and its remedy in one sentence.
     """
 
     kind: str
@@ -99,15 +99,15 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
 
 
 def dead_share() -> float:
-    """Share of the samples without a value from which on a torque does not measure its joint."""
+    """Share of samples without a value above which a torque is treated as not measured."""
     return _ZEROS
 
 
 def braked(recording: Recording) -> np.ndarray:
-    """Mask ``(N, n)`` of samples at which a torque is exactly zero for some time while its joint stands.
+    """Mask ``(N, n)`` of samples at which a torque is exactly zero for some time while its joint is at rest.
 
-    A torque that comes in steps is zero for a while by itself: runs count that are many times as long as the usual
-    ones of equal values. A dead channel has none.
+    A torque that comes in steps is zero for a while by itself: only runs are used that are much longer than usual runs
+    of equal values. A dead channel has none.
     """
     held = np.zeros((len(recording.t), recording.n), dtype=bool)
     for j in range(recording.n):
@@ -130,7 +130,7 @@ def dead_joints(findings: tuple[ChannelFinding, ...]) -> list[int]:
 
 
 def lattice(values: Array) -> float:
-    """The step between the levels that values ``(N,)`` come in, as an encoder's; 0 where they come in none."""
+    """Step of the quantisation levels of values ``(N,)``, as an encoder's; 0 where they are not quantised."""
     levels = np.unique(values)
     span = levels[-1] - levels[0]
     gaps = np.diff(levels)
@@ -143,7 +143,7 @@ def lattice(values: Array) -> float:
 
 
 def stands(t: Array, q: Array) -> np.ndarray:
-    """Mask ``(N,)`` of samples about which a joint stays where it is for a while: at rest a torque may be one level.
+    """Mask ``(N,)`` of samples around which a joint is at rest, where a torque may stay at one level.
 
     Args:
         t, q: instants [s] and positions of the joint [rad or m] ``(N,)``.
@@ -151,25 +151,25 @@ def stands(t: Array, q: Array) -> np.ndarray:
     half = max(1, round(0.5 * _RESTS / max(float(np.median(np.diff(t))), 1e-9)))
     width = 2 * half + 1
     still = maximum_filter1d(q, width) - minimum_filter1d(q, width) < _HELD
-    # Every sample of a window in which it stays.
+    # All samples of a window in which the joint is at rest.
     return np.asarray(maximum_filter1d(still.astype(np.uint8), width) > 0)
 
 
 def at_limits(values: Array, step: float, still: np.ndarray | None = None) -> float:
     """Share of samples in runs of three or more at the largest or the smallest value ``(N,)``.
 
-    Of levels ``step`` apart an extreme one that is not fuller than the one before it is no limit.
+    With levels ``step`` apart, an extreme level is a limit only if it is more frequent than the next one.
 
     Args:
         values, step: of a torque, and the step that it comes in.
-        still: samples at which its joint stands ``(N,)``, which a torque's level says nothing of; None for none.
+        still: samples with the joint at rest ``(N,)``, which are not used; None for none.
     """
     moves = np.ones(len(values), dtype=bool) if still is None else ~still
     return float(sum(np.mean(top[:-2] & top[1:-1] & top[2:]) for top in _limits(values, step, moves)))
 
 
 def clipped(values: Array, still: np.ndarray | None = None) -> np.ndarray:
-    """Mask ``(N,)`` of samples at a limit that a channel ``(N,)`` stands at often enough to be clipped there.
+    """Mask ``(N,)`` of samples at a limit, if a channel ``(N,)`` reaches it often enough to be clipped there.
 
     Args:
         values, still: see ``at_limits``.
@@ -193,10 +193,9 @@ def _limits(values: Array, step: float, moves: np.ndarray) -> Iterator[np.ndarra
 
 
 def filtered_above(values: Array, rate: float) -> list[float | None]:
-    """The frequency above which each channel ``(N, n)``, sampled at ``rate`` [Hz], holds nothing, not even noise [Hz].
+    """Frequency above which each channel ``(N, n)``, sampled at ``rate`` [Hz], has no signal, not even noise [Hz].
 
-    None if it holds something, or where nothing can be said: a channel of zeros alone, or of numbers whose squares
-    overflow.
+    None if there is none, or where it cannot be computed: for a channel of zeros, or of numbers whose squares overflow.
     """
     f, spectra = signal.welch(np.ascontiguousarray(values.T), fs=rate, window="blackmanharris",
                               nperseg=min(len(values), 1024))
@@ -226,7 +225,7 @@ def _stamps(recording: Recording) -> list[ChannelFinding]:
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of samples ``start … stop - 1`` of one joint.
+    """An interval of samples ``start … stop - 1`` of one joint.
 
     Attributes:
         joint: joint, counted from 0.
@@ -275,7 +274,7 @@ def runs(label: np.ndarray) -> list[tuple[int, int]]:
 
 
 def alone(s: FilteredSignals, joint: int) -> list[tuple[int, int]]:
-    """Ranges in which only this joint moves, from its first to its last motion between those of other joints."""
+    """Index ranges in which only this joint moves, from its first to its last motion between those of other joints."""
     moves = moving(s)
     busy = np.any(np.delete(moves, joint, axis=1), axis=1) if moves.shape[1] > 1 else np.zeros(len(s.t), dtype=bool)
     ranges = []

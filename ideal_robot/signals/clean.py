@@ -1,7 +1,7 @@
-"""From a recording as it was read to one that a regression can use: a single pass, every act of which is said once.
+"""Prepares a recording for a regression in one pass, with one note per change.
 
-In order: names and units (the robot's joints, coupled ones apart, their torques), time (numbers, stamps, the instants
-of sampling), joints (angles that wrap, brakes, channels that measure nothing), spikes. Identification, diagnosis and
+In order: names and units (the robot's joints, decoupled, their torques), time (numbers, stamps, the instants of
+sampling), joints (angles that wrap, brakes, channels that measure nothing), spikes. Identification, diagnosis and
 ``inspect`` begin here.
 """
 
@@ -46,7 +46,7 @@ _MOST_BRAKED = 0.5
 
 @dataclass(frozen=True)
 class Cleaned:
-    """A recording that can be used, and what was done to it.
+    """A prepared recording, and the changes made to it.
 
     Attributes:
         recording: joints in the robot's order, with ``tau_i`` where torques are used, increasing times, no spikes.
@@ -65,7 +65,7 @@ def cleaned(recording: Recording, robot: Robot, *, torques: bool = True, command
     Args:
         recording: as it was read.
         robot: joints, limits, drive gains.
-        torques: whether torques are used; without them none is asked for.
+        torques: whether torques are used; without them none is needed.
         commands: whether the commands ``q_c_i``, where there are any, are used too.
 
     Raises:
@@ -84,7 +84,7 @@ def cleaned(recording: Recording, robot: Robot, *, torques: bool = True, command
     acts += said
     source, n = recording.source, robot.n
     names = range(1, n + 1)
-    # Units first, of practically all samples: degrees would look like jumps, and a jump like degrees.
+    # Units are checked first, as degrees would look like jumps, and a jump like degrees.
     q = recording.joints("q")
     if np.isfinite(q).all(axis=1).any():
         require_joint_units(np.nanquantile(q, _NEARLY_ALL, axis=0), robot, file=source)
@@ -133,7 +133,7 @@ def cleaned(recording: Recording, robot: Robot, *, torques: bool = True, command
     return Cleaned(recording, tuple(acts), amperes)
 
 
-# Names and units.
+# Checks of names and units.
 
 def _named(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     """The recording of the robot's joints in the robot's order; raises InputError where it is of another arm."""
@@ -168,7 +168,7 @@ def _in_robot_order(recording: Recording, robot: Robot) -> tuple[Recording, list
         columns, meta = of_joints(recording.columns, {"joints": names}, own, recording.source)
         said = [str(text) for text in meta["reading"]]
         return replace(recording, columns=columns, meta={**recording.meta, "joints": wanted}), said
-    # Names that are numbers and nothing else count from the base.
+    # Names that are only numbers are counted from the base.
     for labels, own in ((names, wanted), (_bare(names), _bare(wanted)),
                         (_bare(names), [str(i + 1) for i in range(robot.n)])):
         if sorted(labels) == sorted(own):
@@ -215,7 +215,7 @@ def _bare(names: list[str]) -> list[str]:
 
 def _shared(names: list[str]) -> int:
     """How many characters all names begin with alike."""
-    # The beginning that the first and the last name in alphabetical order share, all names between share as well.
+    # The common prefix of the first and the last name in alphabetical order is common to all.
     first, last = min(names), max(names)
     return next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
 
@@ -248,12 +248,12 @@ def _measuring(recording: Recording) -> tuple[Recording, list[str]]:
     return replace(recording, columns={**recording.columns, **zeros}), acts
 
 
-# Joints.
+# Checks of joint angles.
 
 def unwrapped(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
-    """The recording with angles that go on where the logger wraps them at a whole turn, and what was unwrapped.
+    """The recording with angles unwrapped where the logger wraps them at a whole turn, and the unwrapped joints.
 
-    A step from one sample to the next that is a whole turn but for what the joint moves is none of the arm's.
+    A step between samples of nearly a whole turn is caused by the logger.
     """
     columns, acts = dict(recording.columns), []
     for j in np.flatnonzero(~robot.prismatic):
@@ -264,7 +264,8 @@ def unwrapped(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]
                 continue
             turns = np.round(np.diff(values) / (2.0 * np.pi))
             rest = np.abs(np.diff(values) - 2.0 * np.pi * turns)
-            # A step within a quarter turn of whole turns: the counter wrapped, no joint moves so far in a sample.
+            # A step within a quarter turn of whole turns is a wrap of the counter, as no joint moves so far in a
+            # sample.
             wraps = (turns != 0.0) & (rest < 0.5 * np.pi)
             if not wraps.any():
                 continue
@@ -276,17 +277,17 @@ def unwrapped(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]
         for kind in _ANGLES[1:]:
             led = columns.get(f"{kind}_{j + 1}")
             if measured is not None and led is not None and acts and np.all(np.isfinite(led)):
-                # Commands and arm angles start in the turn of the measured angle.
+                # Commands and arm angles are shifted to the turn of the measured angle.
                 columns[f"{kind}_{j + 1}"] = led - 2.0 * np.pi * np.round(
                     float(np.median(led - measured)) / (2.0 * np.pi))
     return (replace(recording, columns=columns), acts) if acts else (recording, [])
 
 
 def taken_apart(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
-    """The recording with the URDF's joints where the arm's data say that the controller counts them otherwise.
+    """The recording with the URDF's joint angles, computed from those of a controller that couples joints.
 
-    Angles q' = C q of a controller do work τ'ᵀ dq' = τᵀ dq, so τ = Cᵀ τ'. What this program has recorded names its
-    robot and is of the URDF's joints.
+    Angles q' = C q of a controller do work τ'ᵀ dq' = τᵀ dq, so τ = Cᵀ τ'. Recordings of this program have the URDF's
+    joints already.
 
     Args:
         recording: its angles may wrap.
@@ -320,7 +321,7 @@ def _without_brakes(recording: Recording) -> tuple[Recording, list[str]]:
     return without_rows(recording, rows), [f"{text}; these samples are left out"]
 
 
-# Commands.
+# Checks of commands.
 
 def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     """The recording without the samples whose commands are no numbers or spikes, and what is wrong with the commands.

@@ -1,4 +1,4 @@
-"""Columns of tables by other programs: which of them are time, positions, torques, and in which units.
+"""Recognises columns of other programs' tables: time, positions, torques, and their units.
 
 A title is read word by word: a quantity (``position``, ``effort``, ``strom``), its role (``actual``, ``target``), a
 joint (its name or number) and perhaps a unit. So UR's record script, PlotJuggler, ``rostopic echo -p``, libfranka's
@@ -70,7 +70,7 @@ _LISTED = 40
 
 @dataclass(frozen=True)
 class Source:
-    """Where a column comes from.
+    """Source of a column, with a factor.
 
     Attributes:
         title: of the column in the file.
@@ -83,11 +83,11 @@ class Source:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Which column of a table is which of docs/files.md.
+    """Mapping from a table's columns to those of docs/files.md.
 
     Attributes:
         of: our name → where it comes from.
-        joints: names of the joints, in the order of their numbers; empty where the titles only count.
+        joints: names of the joints, in the order of their numbers; empty where the titles have only numbers.
         given: whether the user gave it.
         rate: of the samples [Hz], of a table without a clock.
     """
@@ -98,7 +98,7 @@ class ColumnMap:
     rate: float | None = None
 
     def applied(self, columns: Mapping[str, Array], meta: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Columns ``(N,)`` under our names and in our units, others as they were, and what was read as what."""
+        """Columns ``(N,)`` with this project's names and units, others unchanged, and metadata with the mapping."""
         taken = {source.title for source in self.of.values()}
         result: dict[str, Array] = {}
         said: list[str] = []
@@ -110,7 +110,7 @@ class ColumnMap:
             said.append(f"clock: samples are counted at {self.rate:g} Hz")
         clock = result.get("t", columns.get("t"))
         t, unit = (None, "") if clock is None else _from_epoch(clock)
-        # A column that is called t is in seconds since when it likes, but for the epoch's milliseconds.
+        # A column named t is in seconds with any origin, unless it has epoch milliseconds.
         if t is not None and t is not clock and ("t" in result or unit):
             result["t"] = t
             said.append(f"epoch-stamps: times count from the first stamp{unit and f', from {unit}'}")
@@ -123,16 +123,16 @@ class ColumnMap:
 
 
 def with_reading(meta: dict[str, Any], said: Sequence[str]) -> dict[str, Any]:
-    """Metadata with more of what a reader says of a file: sentences ``name: what was done``, under ``reading``."""
+    """Metadata with further notes of a reader under ``reading``: sentences ``name: what was done``."""
     return {**meta, "reading": [*meta.get("reading", ()), *said]} if said else meta
 
 
 def recognised(titles: Sequence[str], topic: str | None = None) -> ColumnMap:
-    """The map of columns that their titles suggest; empty where they are ours already, or say nothing.
+    """The mapping that the columns' titles suggest; empty where they have this project's names, or no known ones.
 
     Args:
         titles: of the table's columns.
-        topic: part of the titles' path that is wanted where several groups of joints are there.
+        topic: part of the titles' path to select one of several groups of joints.
 
     Raises:
         InputError: several groups of joints have positions, and no ``topic`` says which.
@@ -155,7 +155,7 @@ def recognised(titles: Sequence[str], topic: str | None = None) -> ColumnMap:
 
 
 def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
-    """The map in a TOML file of the user's; raises InputError where it names what is not there or cannot be.
+    """The mapping in a user's TOML file; raises InputError for missing columns or impossible entries.
 
     A key is one of docs/files.md without the joint's number: its value is a title, a list of titles (one a joint), or a
     pattern with the joint's number in braces, ``{0}`` counted from 0 and ``{1}`` from 1; or a table with ``column`` or
@@ -185,7 +185,7 @@ def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
             raise InputError(f"expected the title of one column, not {len(named)}", file=path, field=key)
         names = [key] if key in SINGLE else [f"{key}_{j + 1}" for j in range(len(named))]
         of.update({name: Source(title, factor) for name, title, factor in zip(names, named, factors, strict=True)})
-    # What says what it is need not be named: a clock, and joints beside the rate of a table without one.
+    # Recognisable columns need not be named: a clock, and joints of a table with a given rate.
     if "t" not in (*of, *known) and rate is None and (time := _time(titles)):
         of["t"] = time
     if "q_1" not in (*of, *known) and not any(name.rpartition("_")[0] in OF_JOINTS for name in of):
@@ -208,7 +208,7 @@ def _rate(table: Mapping[str, Any], path: Path) -> float:
 
 
 def listed_titles(titles: Sequence[str]) -> str:
-    """Titles for a message, those that only count as one pattern of a map, the first of them where they are many."""
+    """Titles for a message: numbered ones as one pattern of a map, and only the first of many."""
     runs: dict[str, list[int]] = {}
     for title in titles:
         for number in re.finditer(r"\d+", title):
@@ -272,7 +272,7 @@ def _time(titles: Sequence[str]) -> Source | None:
         words, unit = _words(title)
         kinds = [_TIME.index(word) for word in words if word in _TIME]
         if not kinds or any(word not in _TIME and word not in _BESIDE_TIME for word in words):
-            # A stamp within a message: its topic stands before it.
+            # The stamp of a message: its topic is the part before.
             if not (words[-2:] == ["header", "stamp"] or words[-1:] == ["timestamp"]):
                 continue
             kinds = [len(_TIME)]
@@ -306,7 +306,7 @@ def _groups(titles: Sequence[str], of: Callable[[str], _Told | None]) -> dict[st
         if told is None:
             continue
         quantity, prefix, name, rank, source = told
-        # Of an actual value and one that says nothing of its role the actual one.
+        # An actual value is preferred to one without a role.
         if rank < ranks.get((prefix, quantity, name), 9):
             ranks[prefix, quantity, name] = rank
             groups.setdefault(prefix, {}).setdefault(quantity, {})[name] = source
@@ -350,7 +350,7 @@ def _joint_column(title: str) -> _Told | None:
     quantity = _WORDS.get(kinds[-1], "q")
     if not unit and _KRL_ANGLE.search(title) and quantity == "q":
         unit = "deg"
-    # libfranka's q_d; a joint's name may be d.
+    # libfranka names desired positions q_d; elsewhere d may be a joint's name.
     led = _COMMANDED | ({"d"} if "d" in words[words.index(kinds[-1]):] else set())
     commanded, measured = bool(led & set(words)), bool(_MEASURED & set(words))
     if commanded:
@@ -362,7 +362,7 @@ def _joint_column(title: str) -> _Told | None:
     drop = {kinds[-1], "axis", *_MEASURED, *led, unit}
     name = _without(leaf, drop)
     if not name and path:
-        # .../joint_a1/position: the joint is the part before.
+        # In .../joint_a1/position the joint is the part before.
         path, name = re.match(r"^(.*[/.])?([^/.]*)$", path.rstrip("/.")).groups(default="")  # type: ignore[union-attr]
         name = _without(name, drop - {"state"})
     if not name:
@@ -397,7 +397,7 @@ def _with_positions(groups: Mapping[str, Group], topic: str | None) -> list[str]
 def _joint_columns(groups: Mapping[str, Group], prefix: str, found: dict[str, Source]) -> tuple[str, ...]:
     """Adds the columns of a group's joints; returns the joints' names, none where they are numbers alone."""
     group = dict(groups[prefix])
-    # A controller's reference stands under a path of its own.
+    # A controller's reference is in a group of its own.
     for other in groups.values():
         if "q_c" in other and "q_c" not in group and set(other["q_c"]) >= set(group["q"]):
             group["q_c"] = other["q_c"]

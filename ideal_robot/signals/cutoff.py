@@ -1,8 +1,8 @@
-"""Filters by held-out error: which cut-off lets a model that is linear in its parameters predict torque best.
+"""Chooses filters by held-out error: the cut-off with which a linear model predicts torque best.
 
-Every candidate filters positions at its cut-off and is fitted to the torque below half of it. All are judged alike: in
-one band of the torque that does not depend on the candidate, on blocks of time that the fit has not seen. Encoder steps
-and jittering stamps, which look like motion in a spectrum, are worth nothing to such a prediction; they only cost.
+Every candidate filters positions at its cut-off and is fitted to the torque below half of it. All are compared in the
+same way: in one band of the torque that does not depend on the candidate, on blocks of time that the fit has not seen.
+Encoder steps and jittering stamps, which look like motion in a spectrum, only make such a prediction worse.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _SURE = 1e-4
 
 @dataclass(frozen=True)
 class CutoffChoice:
-    """The filters that predict best, and how the others did.
+    """The filters with the best prediction, and the errors of the others.
 
     Attributes:
         cutoff: of the positions [Hz].
@@ -85,21 +85,21 @@ class CutoffChoice:
 
 def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array,
                   information: Array) -> CutoffChoice:
-    """The cut-off with the least held-out error; of those that are as good, the one that is just flat in the band.
+    """The cut-off with the least held-out error; of equally good ones, the lowest that is flat in the band.
 
     Args:
-        recordings: with ``q_i`` and ``tau_i``; a channel whose torque is NaN throughout does not count.
+        recordings: with ``q_i`` and ``tau_i``; a channel whose torque is NaN throughout is not used.
         columns: the model's observation matrix.
-        start, information: parameters ``(P,)`` before any data, and what is known of them, an inverse covariance.
+        start, information: prior mean of the parameters ``(P,)``, and its inverse covariance.
     """
-    # Of many recordings a few, evenly spread, so that of each enough seconds are looked at.
+    # Only a few of many recordings, evenly spread, so that each provides enough seconds.
     some = np.linspace(0, len(recordings) - 1, min(len(recordings), int(_LONGEST / _SHORTEST))).astype(int)
     parts = [_first(recordings[i], _LONGEST / len(some)) for i in some]
     rate = min(1.0 / _step(r) for r in parts)
     band = min(float(np.median([motion_band(r) for r in parts])), 0.1 * rate)
     even = [evenly_sampled(r, columns=False) for r in parts]
     usable = [c for c in CANDIDATES if c <= min(0.2 * rate, _BEYOND * band)] or [0.2 * rate]
-    # Where a recording is too short for the slowest filters, quicker ones are left; for none, the last says so.
+    # For a short recording only the faster filters are usable; if none is, the last reports the error.
     usable = [c for c in usable if all(signals.long_enough(c) for signals in even)] or usable[-1:]
     errors: dict[float, float] = {}
     under = [_Judged(signals, columns, band, usable[0]) for signals in even]
@@ -120,15 +120,15 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
 
 
 def motion_band(recording: Recording) -> float:
-    """The band of judgement [Hz]: ten times the frequency that holds nine tenths of the velocity's power.
+    """The band of the comparison [Hz]: ten times the frequency below which 90 % of the velocity's power lies.
 
-    Nine tenths, not more: the noise of a position, differentiated, is a good part of the rest.
+    Not more than 90 %, as differentiated noise is a large part of the rest.
     """
     grid, _ = uniform_time(recording)
     dt = float(grid[1] - grid[0])
     q = resampled(recording.t, recording.joints("q"), grid, smooth=True)
     slow = lowpass(q, dt, min(_FAST, 0.2 / dt))
-    # Quickest where the samples of a joint are neighbours in memory.
+    # Fastest with the samples of a joint contiguous in memory.
     f, by_joint = signal.welch(np.ascontiguousarray(np.gradient(slow, dt, axis=0).T), fs=1.0 / dt,
                                nperseg=min(len(q), int(8.0 / dt)))
     power = by_joint.T
@@ -175,7 +175,7 @@ class _Judged:
         self._even = even
         self._columns, self._band = columns, band
         t, step = self._even.t, float(self._even.t[1] - self._even.t[0])
-        # Clear of the ends and of holes for the slowest filter.
+        # Away from the ends and from gaps by the memory of the slowest filter.
         edge = 1.0 / min(band, slowest)
         times = np.arange(t[0] + edge, t[-1] - edge, 0.25 / band)
         for instant in t[self._even.hole]:
@@ -206,7 +206,7 @@ class _Judged:
 
 
 def thinned(s: FilteredSignals, stride: int) -> FilteredSignals:
-    """Every ``stride``-th sample: the motion has nothing above its cut-off, the torque is filtered first."""
+    """Every ``stride``-th sample, as the motion has nothing above its cut-off; the torque is filtered first."""
     if stride == 1:
         return s
     stride = min(stride, s.factor)

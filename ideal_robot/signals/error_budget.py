@@ -1,7 +1,7 @@
-"""How well velocity and acceleration are known: encoder steps, jittering stamps and noise through the filters.
+"""Errors of velocity and acceleration: encoder steps, jittering stamps and noise after the filters.
 
-An error of position is taken as white from sample to sample; the position filter, the central differences and the
-decimation filter shape it, and what is left of it is a standard deviation for every sample.
+Position errors are assumed white; the position filter, the central differences and the decimation filter shape them,
+which gives a standard deviation for every sample.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def error_budget(recording: Recording, s: FilteredSignals) -> ErrorBudget:
     t, jitter = regular_stamps(recording.t, q)
     step = _steps(q)
     noise = _noise(resampled(t, q, s.t, smooth=True), s.dt, step)
-    # The clock behind the stamps is known from many of them.
+    # The clock's error is averaged over many stamps.
     remaining = jitter / np.sqrt(WINDOW)
     position = np.sqrt(noise**2 + (remaining * s.qd[:: s.factor][s.keep]) ** 2)
     first, second = _gains(s)
@@ -77,7 +77,7 @@ def _white_level(q: Array, dt: float) -> Array:
     """Standard deviation of the white part of the positions ``(n,)``, from the top of their spectrum."""
     f, power = signal.welch(np.diff(q, 2, axis=0), fs=1.0 / dt, nperseg=min(len(q) - 2, 1024), axis=0)
     top = (f > 0.35 / dt) & (f < 0.48 / dt)
-    # The second difference has the gain (2 sin(π f dt))⁴; without it, leakage of the motion would count as noise.
+    # The second difference has the gain (2 sin(π f dt))⁴; without it leakage of the motion would appear as noise.
     level = np.median(power[top] / (2.0 * np.sin(np.pi * f[top, None] * dt)) ** 4, axis=0)
     return np.asarray(np.sqrt(0.5 * level / dt))
 
@@ -88,7 +88,7 @@ def _gains(s: FilteredSignals) -> tuple[float, float]:
     _, H = signal.sosfreqz(signal.butter(ORDER, 2.0 * s.cutoff * s.dt, output="sos"), worN=f, fs=1.0 / s.dt)
     passed = np.abs(H) ** 2
     if s.factor > 1:
-        # Taps a whole transform apart belong to the same phase of each of its lines.
+        # Taps are wrapped, as those a whole transform apart have the same phase.
         taps = decimation_taps(s.factor)
         whole = np.zeros(-(-len(taps) // (4 * _LINES)) * 4 * _LINES)
         whole[: len(taps)] = taps

@@ -1,4 +1,4 @@
-"""Recordings as files of other programs: ROS 2 bags and MCAP through ``rosbags``, no ROS needed; and Rerun.
+"""Writes recordings as files of other programs: ROS 2 bags and MCAP through ``rosbags``, without ROS; and Rerun.
 
 Topics: ``/joint_states`` (measured position and torque), ``/joint_commands`` and ``/joint_desired`` (positions),
 ``/arm_states`` (arm angles), ``/tcp`` (pose of the TCP) and ``/wrench``, each where the recording has the columns.
@@ -42,7 +42,7 @@ def write_mcap(recording: Recording, path: str | Path) -> Path:
 
 
 def write_rosbag2(recording: Recording, path: str | Path) -> Path:
-    """Writes the folder of a ROS 2 bag (SQLite), which must not exist, times from the recording's own.
+    """Writes one MCAP file with the recording's own times; an old file stays until the new one is complete.
 
     Raises:
         InputError: something of that name exists, or a recording without joints.
@@ -127,7 +127,7 @@ def _topics(recording: Recording, store: Any) -> Iterator[tuple[str, str, Callab
 # A recording as a Rerun file: every signal over time, and the tool's path in space.
 
 def write_rerun(recording: Recording, path: Path) -> Path:
-    """Writes a ``.rrd`` file; what was there before stays until the new one is whole.
+    """Writes a ``.rrd`` file; an old file stays until the new one is complete.
 
     Each column becomes the entity ``prefix/joint`` or its own name. Raises InputError for another ending, or where
     Rerun is not installed.

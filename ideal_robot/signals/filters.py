@@ -1,11 +1,11 @@
-"""Linear filters: the low-pass of positions and the decimation of torques, and what carries them out."""
+"""Linear filters: the low-pass of positions and the decimation of torques."""
 
 from __future__ import annotations
 
 from functools import cache
 
 import numpy as np
-import scipy  # its signal is large, and loaded where it is used
+import scipy  # scipy.signal is large, so it is loaded where it is used
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
@@ -22,7 +22,7 @@ def lowpass(values: Array, dt: float, cutoff: float) -> Array:
         cutoff: [Hz].
     """
     sos = _sections(2.0 * cutoff * dt)
-    # Padding as long as the filter remembers; the default is too short for low cut-offs.
+    # Padding as long as the filter's memory; the default is too short for low cut-offs.
     pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
     values = np.asarray(values, dtype=float)
     return forwards_and_backwards(sos, values.reshape(len(values), -1), pad).reshape(values.shape)
@@ -45,9 +45,9 @@ def decimated(values: Array, factor: int) -> Array:
 
 
 def decimated_columns(values: Array, factor: int) -> tuple[np.ndarray, Array]:
-    """Which columns of ``values (N, …)`` are not zero throughout ``(m,)``, and these decimated ``(r, M)``.
+    """Mask of the columns of ``values (N, …)`` that are not all zero ``(m,)``, and these decimated ``(r, M)``.
 
-    Zeros, most of what acts on one joint and half of a regressor, stay what they are without being filtered.
+    Columns of zeros, which are half of a regressor, need no filtering.
     """
     columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
     live = not_zero(columns)
@@ -55,7 +55,7 @@ def decimated_columns(values: Array, factor: int) -> tuple[np.ndarray, Array]:
     return live, rows if factor == 1 else np.asarray(_thinned_out(rows, decimation_taps(factor), factor))
 
 
-# Sums in any order: the compiler takes several products at a time.
+# The order of the sum is free, so that the compiler can vectorise it.
 @jit(fastmath={"reassoc", "contract"})
 def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
     """``y_m = Σ_j h_j x_{mf - 10f + j}`` of rows ``(r, N)``, zero beyond their ends, as scipy's ``resample_poly``."""
@@ -77,20 +77,20 @@ def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
 
 @cache
 def decimation_taps(factor: int) -> Array:
-    """Hamming-windowed low-pass with half power at the new half sampling rate: what ``scipy.signal.decimate`` uses."""
+    """Hamming-windowed low-pass with half power at the new half sampling rate, as in ``scipy.signal.decimate``."""
     return np.asarray(scipy.signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
 
 
 # A recursive filter run forwards and backwards over many columns at once, as ``scipy.signal.sosfiltfilt`` has it.
 #
-# The same numbers bit by bit, several times as fast: each step waits for the one before it, while the columns are steps
-# that do not wait for each other.
+# The numbers are identical bit by bit and the speed is several times higher: steps depend on the one before, while
+# columns are independent.
 
 def forwards_and_backwards(sections: Array, values: Array, pad: int) -> Array:
-    """Values ``(N, m)`` filtered without phase, along the first axis.
+    """Values ``(N, m)`` filtered forwards and backwards, without phase, along the first axis.
 
     Args:
-        sections, values: of second order ``(S, 6)``; what is filtered.
+        sections, values: second-order sections ``(S, 6)``; the values to filter.
         pad: samples by which the values are continued, turned about their first and last.
     """
     x = np.concatenate([2.0 * values[0] - values[pad:0:-1], values, 2.0 * values[-1] - values[-2 : -pad - 2 : -1]])
@@ -124,7 +124,7 @@ def _run(sections: Array, x: Array, settled: Array, backwards: bool) -> None:
                 x[k, j] = out
 
 
-# Linear filters whose output is wanted at few instants: weights on the samples around each instead of filtering all.
+# Linear filters whose output is needed at few instants only: weighted sums of the samples around each.
 #
 # Outputs are products of matrices, block by block, which is several times as fast as sample by sample where few of the
 # outputs are kept.
@@ -136,13 +136,13 @@ _SAME = 1e-6
 
 
 def filtered_at(values: Array, place: Array, kernel: Array, *, fine: int = 1, odd: bool = False) -> Array:
-    """``y_m = Σ_k κ(k - place_m) x_k`` of ``values (K, …)``: ``(M, …)``.
+    """Values filtered at given places: ``y_m = Σ_k κ(k - place_m) x_k`` of ``values (K, …)``: ``(M, …)``.
 
     Args:
         values: evenly spaced in time; quickest where samples of an element are neighbours in memory.
         place: instants of the outputs in samples ``(M,)``, rising.
         kernel: κ, symmetric, at every ``1 / fine`` of a sample about its middle ``(2 L + 1,)``, linear in between. It
-            is scaled so that a constant stays what it is.
+            is scaled so that constants are preserved.
         fine: entries of the kernel a sample.
         odd: goes on beyond the ends as the values turned about their first and last; else with zeros.
     """
@@ -155,7 +155,7 @@ def filtered_at(values: Array, place: Array, kernel: Array, *, fine: int = 1, od
     for start in range(0, len(place), _BLOCK):
         block = place[start: start + _BLOCK]
         floor = int(np.floor(block[0]))
-        # Evenly spaced outputs have the same weights again and again.
+        # Evenly spaced outputs use the same weights, which are cached.
         even = len(block) == _BLOCK and np.ptp(np.diff(block)) < _SAME
         key = round((block[0] - floor) / _SAME), round((block[1] - block[0]) / _SAME) if even else -start
         if key not in known:
@@ -179,11 +179,11 @@ def _weights(at: Array, kernel: Array, fine: int) -> tuple[int, Array]:
     """The first sample that a block of outputs at ``at (B,)`` looks at, and the weights from there on ``(T, B)``."""
     reach = len(kernel) // 2
     k = np.arange(int(np.ceil(at[0] - reach / fine)), int(np.floor(at[-1] + reach / fine)) + 1)
-    # Samples are whole numbers: an output has one share between the kernel's entries for all of them.
+    # Samples are at whole numbers, so all have the same fraction between the kernel's entries.
     offset = at * fine
     whole = np.ceil(offset - _SAME).astype(int)
     share = np.maximum(whole - offset, 0.0)
-    # Zeros on both sides: a block's window is wider than that of each of its outputs.
+    # Zero padding on both sides, as a block's window is wider than that of a single output.
     margin = fine * len(k)
     table = np.concatenate([np.zeros(margin), kernel, np.zeros(margin)])
     index = fine * k[:, None] - whole + reach + margin
@@ -192,7 +192,7 @@ def _weights(at: Array, kernel: Array, fine: int) -> tuple[int, Array]:
 
 
 def not_zero(rows: Array) -> np.ndarray:
-    """Mask of the rows ``(m, N)`` that are not zero throughout: most show it in their middle."""
+    """Mask of the rows ``(m, N)`` that are not all zero."""
     mask = np.asarray(rows[:, rows.shape[1] // 2] != 0.0)
     for k in np.flatnonzero(~mask):
         mask[k] = rows[k].any()

@@ -1,7 +1,7 @@
-"""Values that cannot be: samples that are no numbers, spikes, torques that stand still, positions and clocks that jump.
+"""Removes implausible samples: missing numbers, spikes, frozen torques, jumping positions and clocks.
 
-Single bad samples are left out and named; where a recording as a whole cannot be trusted it is refused. A recording
-without any of it comes back as it is, bit for bit. One check for identification, diagnosis and stiffness alike.
+Single bad samples are removed and named; a recording with too many is refused. A recording without any is returned
+unchanged. Identification, diagnosis and stiffness use the same check.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LEAVING = 1.05
 
 
 def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = None) -> None:
-    """Refuses times that rise too fast to be seconds: raises InputError.
+    """Raises InputError for times that rise too fast to be seconds.
 
     Args:
         t, file: times ``(N,)`` [s], and where they come from.
@@ -47,9 +47,9 @@ def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = No
 
 
 def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, column: str = "q") -> None:
-    """Refuses positions that leave the joint limits by far, degrees, millimetres or motors' own: raises InputError.
+    """Raises InputError for positions far outside the joint limits, as in degrees, millimetres or motor angles.
 
-    A joint whose limits hold every angle may have been turned on: where its positions are no degrees they are taken.
+    A joint with limits of a full turn may have been turned further: its positions are accepted if they are not degrees.
 
     Args:
         q, robot: joint positions ``(N, n)`` [rad, or m where a joint slides], and their limits.
@@ -81,7 +81,7 @@ def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, colu
 
 
 def wound_up(q: Array, robot: Robot) -> list[str]:
-    """A warning for each joint that was turned beyond limits which hold every angle; positions ``(N, n)`` [rad]."""
+    """A warning for each joint with limits of a full turn that was turned beyond them; positions ``(N, n)`` [rad]."""
     largest = np.max(np.abs(q), axis=0, initial=0.0)
     span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     return [f"turned-on: q_{j + 1} reaches {largest[j]:.3g} rad, beyond the URDF's ±{span[j]:.3g} rad; the angle is "
@@ -94,7 +94,7 @@ def _all_angles(robot: Robot) -> NDArray[np.bool_]:
 
 
 def require_metres(position: Array, *, file: str | None = None, column: str = "x") -> None:
-    """Refuses a TCP position that is too far away to be in metres: raises InputError.
+    """Raises InputError for a TCP position that is too far away to be in metres.
 
     Args:
         position: one coordinate ``(N,)`` [m]; NaN where it was not measured.
@@ -114,7 +114,7 @@ _NAMED_PAUSE = 1.0
 """Time between two samples from which on a pause is told [s]."""
 _HALF = 2
 """Samples to either side that a sample is compared with: bursts of up to two are seen."""
-_WINDOW = 2 * _HALF + 1  # both sides and the sample
+_WINDOW = 2 * _HALF + 1  # both sides, and the sample itself
 _FASTEST = 15.0
 """No joint of an arm moves faster [rad/s, m/s]; a motor that is logged at its own side does ..."""
 _FASTER = 4.0
@@ -136,7 +136,7 @@ _LARGEST = 1.0e9
 
 def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[str], tau_max: Array | None = None
               ) -> tuple[Recording, list[str]]:
-    """The recording without samples that cannot be, and named warnings.
+    """The recording without implausible samples, and named warnings.
 
     Args:
         recording: to be checked.
@@ -145,7 +145,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
 
     Raises:
         InputError: time runs backwards or jumps, a position jumps and stays, more than ``MOST_LEFT_OUT`` is bad, a
-            column of values far beyond what any arm has.
+            column of impossible values.
     """
     recording, warnings = only_numbers(recording, ["t", *positions, *torques])
     warnings += checked_time(recording.t, recording.source)
@@ -230,9 +230,9 @@ def text_columns(recording: Recording) -> list[str]:
 
 
 def only_numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording, list[str]]:
-    """The recording without samples that are no numbers in one of the columns ``needed``, and a warning of them.
+    """The recording without samples that are not finite in one of the columns ``needed``, and a warning.
 
-    Raises InputError where more than ``MOST_LEFT_OUT`` is none.
+    Raises InputError where more than ``MOST_LEFT_OUT`` are not finite.
     """
     bad = np.zeros(len(recording.t), dtype=bool)
     worst = ""
@@ -274,7 +274,7 @@ def _position_spikes(q: Array, t: Array) -> NDArray[np.bool_]:
 
 
 def fastest(q: Array, t: Array) -> float:
-    """Speed that no sample ``(N,)`` of a position goes beyond unless it jumps [rad/s, m/s]."""
+    """Largest speed between samples ``(N,)`` of a position that is not a jump [rad/s, m/s]."""
     steps = np.diff(t)
     usual = np.abs(np.diff(q)) / np.maximum(steps, 1e-3 * float(np.median(steps)))
     return max(_FASTEST, _FASTER * float(np.quantile(usual, 0.99)))
@@ -284,7 +284,7 @@ def _torque_spikes(tau: Array) -> NDArray[np.bool_]:
     if len(tau) < 2 * _WINDOW:
         return np.zeros(len(tau), dtype=bool)
     low, high = np.quantile(tau, [0.005, 0.995])
-    # Cheap first look: a spike leaves the span of the signal.
+    # A quick check first: a spike is outside the signal's usual span.
     if not np.any((tau > high + (high - low)) | (tau < low - (high - low))):
         return np.zeros(len(tau), dtype=bool)
     away = _away(tau)
@@ -321,7 +321,7 @@ def _standing(tau: Array, q: Array, t: Array) -> NDArray[np.bool_]:
     if not np.any(lasts >= _STANDS):
         return standing
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
-    # At its largest value a torque is cut off by its drive.
+    # At its largest value the drive limits the torque, so such runs are not frozen values.
     shorter = lasts[lasts < lasts.max()]
     usual = float(np.quantile(shorter, 0.99)) if len(shorter) else np.inf
     long = ((lasts >= max(_STANDS, _COARSE * usual)) & (travel[ends] - travel[begins] >= _MOVES)
@@ -337,7 +337,7 @@ def _refuse_jump(recording: Recording, name: str) -> None:
         return
     steps, times = np.abs(np.diff(q)), np.diff(t)
     usual = float(np.median(times))
-    # After a pause the arm may stand elsewhere.
+    # After a pause the arm may be elsewhere.
     jumps = (steps > fastest(q, t) * np.maximum(times, _HALF * usual)) & (times < 5.0 * usual)
     if jumps.any():
         k = int(np.argmax(jumps))

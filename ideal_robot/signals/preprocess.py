@@ -1,8 +1,8 @@
 """From a raw recording to signals a least-squares fit can use ([J] 3).
 
-Position is low-passed without phase, velocity and acceleration are central differences of it, and the torque and
-every column of the regressor go through the same decimation filter ("parallel decimation"), which takes away what
-the model does not claim to explain. Both cut-offs are chosen from the data unless given.
+Position is low-passed without phase, velocity and acceleration are central differences of it, and the torque and every
+column of the regressor go through the same decimation filter ("parallel decimation"), which removes frequencies that
+the model does not explain. Both cut-offs are chosen from the data unless given.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ideal_robot.signals.sampling import on_its_clock, resampled, uniform_time
 
 _FINE = 10.0
 """Samples a period of the cut-off that are enough for motion below it."""
-_MINIMUM_SAMPLES = 100  # ten times what has to be left
+_MINIMUM_SAMPLES = 100  # ten times the least number of samples
 _FEWEST = 10
 """Samples that have to be left after filtering and decimation."""
 
@@ -66,11 +66,11 @@ class FilteredSignals:
 
     @property
     def stride(self) -> int:
-        """Samples from one to the next that are enough for the motion: it has nothing above its cut-off."""
+        """Stride of samples that suffices for the motion, which has nothing above its cut-off."""
         return max(1, min(int(1.0 / (self.dt * _FINE * self.cutoff)), self.factor // 5))
 
     def decimate_motion(self, columns: Callable[[slice], Array], block: int = 20_000) -> Array:
-        """As ``decimate``, of smooth functions of the motion made piece by piece at every ``stride``-th sample alone.
+        """As ``decimate``, for smooth functions of the motion, computed block by block at every ``stride``-th sample.
 
         Long recordings need little more memory than short ones: ``columns`` makes the rows ``(k, …)`` of a slice of
         samples, ``block`` of them at a time.
@@ -88,7 +88,7 @@ class FilteredSignals:
 
     @property
     def temperature(self) -> Array | None:
-        """Gear temperatures ``(N, n)`` [°C]; zero throughout for a joint without, None where no joint has one."""
+        """Gear temperatures ``(N, n)`` [°C]; zero for a joint without a sensor, None where no joint has one."""
         known = [self.columns.get(f"temp_{j + 1}") for j in range(self.q.shape[1])]
         usable = [values if values is not None and np.all(np.isfinite(values)) else None for values in known]
         if all(values is None for values in usable):
@@ -103,7 +103,7 @@ class FilteredSignals:
 
 @dataclass(frozen=True)
 class EvenSignals:
-    """A recording brought to evenly spaced instants, not yet filtered.
+    """A recording resampled to evenly spaced instants, not yet filtered.
 
     Attributes:
         t: ``(N,)`` [s].
@@ -147,14 +147,14 @@ class EvenSignals:
                                self.columns)
 
     def long_enough(self, cutoff: float) -> bool:
-        """Whether ends and holes leave samples enough under a cut-off [Hz] and a decimation at half of it."""
+        """Whether enough samples remain between ends and gaps for a cut-off [Hz] and a decimation at half of it."""
         return bool(self._thinning(cutoff, 0.5 * cutoff)[1].sum() >= _FEWEST)
 
     def _thinning(self, cutoff: float, wanted: float) -> tuple[int, np.ndarray]:
         """Factor of decimation, and which decimated samples are clear of ends and holes."""
         rate = 1.0 / float(self.t[1] - self.t[0])
         factor = max(1, round(0.5 * rate / wanted))
-        # The ends of the recording are felt as far as the memory of both filters reaches.
+        # The ends of the recording have an influence as long as the memory of both filters.
         return factor, _kept(self.hole, factor, edge=math.ceil(max(rate / cutoff, 5.0 * factor)))
 
 
@@ -194,9 +194,9 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
 def chosen_cutoff(q: Array, dt: float) -> float:
     """Cut-off of the position filter [Hz] from the data: ten times the bandwidth of the motion.
 
-    The bandwidth holds 99.9 % of a joint's velocity power; the median over joints counts. Ten times as much keeps
-    what reversals of friction add. Never more than the noise allows (where the acceleration still stands clear of
-    the noise floor), nor a fifth of the sampling rate, where central differences lose a tenth of the amplitude.
+    The bandwidth has 99.9 % of a joint's velocity power; the median over joints is used. Ten times as much preserves
+    reversals of friction. The cut-off is at most where the acceleration exceeds the noise floor, and at most a fifth of
+    the sampling rate, where central differences lose a tenth of the amplitude.
     """
     rate = 1.0 / dt
     qd = np.gradient(q, dt, axis=0)

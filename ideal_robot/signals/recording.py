@@ -1,4 +1,4 @@
-"""A recording of an arm: named columns over time, and where they came from (design of the file in docs/files.md)."""
+"""A recording of an arm: named columns over time, and their origin (file format in docs/files.md)."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Recording(Summarised):
             torque on the joint side [N m] or ``current_i`` [A]; ``x y z qx qy qz qw`` measured TCP [m];
             ``fx fy fz mx my mz`` wrench in the sensor frame [N, N m]; ``temp_i`` gear temperature [°C].
             Other columns are kept as they are; those of text are left out.
-        meta: robot, cycle time, units, source and what else the file carried; ``left_out``: names of columns of text.
-        source: the file it was read from, or a word for where it was made.
+        meta: robot, cycle time, units, source and other entries of the file; ``left_out``: names of columns of text.
+        source: the file it was read from, or a word for its origin.
     """
 
     columns: dict[str, Array]
@@ -74,13 +74,13 @@ class Recording(Summarised):
         return float(self.t[-1] - self.t[0]) if len(self.t) else 0.0
 
     def summary(self) -> list[tuple[str, str]]:
-        """What it is, and its columns."""
+        """Duration, sampling and columns as rows of label and value."""
         names = ", ".join(list(self.columns)[:12]) + (", …" if len(self.columns) > 12 else "")
         return [("recording", f"{self.source!r}: {self.n} joints, {len(self.t)} samples, {self.duration:.4g} s"),
                 ("columns", names)]
 
     def to_dict(self) -> dict[str, Any]:
-        """What it is as plain values; the samples themselves stay in the columns."""
+        """The recording's properties as plain values, without the samples."""
         return plain({
             "source": self.source, "joints": self.n, "samples": len(self.t), "duration_s": self.duration,
             "columns": list(self.columns), "meta": self.meta, "hash": self.hash})
@@ -118,7 +118,7 @@ class Recording(Summarised):
                         dtype=bool)
 
     def joints(self, prefix: str, rows: Any = slice(None)) -> Array:
-        """Columns ``prefix_1 … prefix_n`` side by side ``(N, n)``, of all rows or those that NumPy takes by ``rows``.
+        """Columns ``prefix_1 … prefix_n`` as ``(N, n)``, of all rows or of a NumPy index ``rows``.
 
         Raises InputError where one of them is missing.
         """
@@ -149,7 +149,7 @@ class Recording(Summarised):
         Args:
             t: times ``(N,)`` [s].
             meta: robot, cycle time, units.
-            source: a word for where it was made.
+            source: a word for its origin.
             columns: ``(N, n)`` ones become ``name_1 … name_n``. ``(N,)`` ones keep their name; of a quantity that
                 every joint has (``q``, ``tau``, …) they are joint 1 of an arm with one joint.
 
@@ -179,7 +179,7 @@ class Recording(Summarised):
         Args:
             frame: columns as in the class's description, ``t`` [s] among them; others are kept.
             meta: robot, cycle time, units.
-            source: a word for where it was made.
+            source: a word for its origin.
 
         Raises:
             InputError: no DataFrame, no column ``t``, or one of the columns above that is not numeric.
@@ -231,8 +231,8 @@ class Recording(Summarised):
              joints: Sequence[str] | None = None) -> Recording:
         """Reads a table (Parquet, CSV of any separator) or a bag (ROS 1, ROS 2, MCAP).
 
-        Columns that other programs write are recognised by their titles; what was read as what, and what was left out,
-        stands in the metadata under ``reading``.
+        Columns that other programs write are recognised by their titles; the mapping and omissions are in the metadata
+        under ``reading``.
 
         Args:
             path: of the file, or of the folder of a ROS 2 bag.
@@ -247,7 +247,7 @@ class Recording(Summarised):
         path = Path(path)
         try:
             exists = path.is_file() or path.is_dir()
-        except OSError:  # e.g. a name that is too long
+        except OSError:  # for instance a name that is too long
             exists = False
         if not exists:
             raise InputError("no such recording", file=path)
@@ -278,7 +278,7 @@ class Recording(Summarised):
 
 def of_joints(columns: dict[str, Array], meta: dict[str, Any], wanted: Sequence[str], source: str
               ) -> tuple[dict[str, Array], dict[str, Any]]:
-    """The columns of some joints alone, numbered in the order in which they are named; raises InputError for unknown.
+    """The columns of some joints, renumbered in the order given; raises InputError for unknown joints.
 
     Args:
         columns, meta, source: of a recording, and where it comes from.
@@ -300,7 +300,7 @@ def of_joints(columns: dict[str, Array], meta: dict[str, Any], wanted: Sequence[
             kept[f"{name.rpartition('_')[0]}_{order.index(number) + 1}"] = values
     others = [name for name in names if name not in wanted]
     said = [f"left-out: joints {', '.join(others)}"] * bool(others)
-    # The order in which they are named is the arm's, whatever its URDF calls them.
+    # The order in which the user names the joints is used, whatever the URDF's names.
     return kept, with_reading({key: value for key, value in meta.items() if key != "joints"}, said)
 
 
@@ -311,7 +311,7 @@ def _number_of(name: str) -> int | None:
 
 
 def is_known_column(name: str) -> bool:
-    """Whether the meaning of a column is known: it stands in docs/files.md, or is the derivative of one that does."""
+    """Whether a column is known: listed in docs/files.md, or the derivative of one."""
     kind, _, tail = name.rpartition("_")
     return name in _OF_THE_ARM or (tail.isdigit() and kind in (*OF_JOINTS, "qd", "qdd", *_OF_THE_LINE))
 
@@ -361,7 +361,7 @@ def _own(values: Any, source: str, name: str) -> Array:
 
 
 def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[Recording, ...]:
-    """One recording or several, as a tuple; raises InputError, which names ``field``, for anything else."""
+    """One recording or several, as a tuple; raises InputError, with ``field``, for anything else."""
     if isinstance(given, Recording):
         return (given,)
     if not isinstance(given, (list, tuple)):
@@ -374,7 +374,7 @@ def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[R
 
 
 def short_names(sources: Sequence[str]) -> list[str]:
-    """Short names of files that a reader can distinguish: with their folders where two have the same name.
+    """Short distinct names of files: with their folders where two have the same name.
 
     Args:
         sources: where recordings come from, see ``Recording.source``.
@@ -388,11 +388,11 @@ def short_names(sources: Sequence[str]) -> list[str]:
 
 
 def expect(given: Any, kind: type, field: str, remedy: str) -> None:
-    """Raises InputError for what is of another kind.
+    """Raises InputError for an argument of another type.
 
     Args:
-        given, kind: what was handed over, and what was expected.
-        field, remedy: the argument's name, and what to do instead.
+        given, kind: the argument, and the expected type.
+        field, remedy: the argument's name, and the remedy.
     """
     if not isinstance(given, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"

@@ -1,4 +1,4 @@
-"""Instants of sampling: stamps that jitter, motion that jitters, even instants, and stretches of long recordings."""
+"""Sampling instants: jitter of stamps or of sampling, resampling, and excerpts of long recordings."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ideal_robot.signals.recording import Recording
 
 # Stamps that jitter about regular instants of sampling, and the instants behind them.
 #
-# A logger that samples by a clock and stamps late makes positions that are smooth over their number and rough over
-# their stamps; one that samples irregularly and stamps well makes the opposite. The positions decide.
+# A logger that samples by a clock and stamps late gives positions that are smooth over the sample number and rough over
+# the stamps; one that samples irregularly and stamps accurately gives the opposite. The positions decide.
 
 _FOLLOWS = 0.05
 """Share of a stamp's deviation that the clock is moved by: it drifts slowly, stamps jump."""
@@ -38,7 +38,7 @@ def regular_stamps(t: Array, q: Array) -> tuple[Array, float]:
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
-    # Lost rows apart: the mean of the ordinary steps is the clock's, whatever the jitter.
+    # The clock's step is the mean of ordinary steps, without lost rows, whatever the jitter.
     ordinary = steps[steps < 3.0 * usual]
     if len(t) < 2 * WINDOW or np.std(ordinary) < 1e-3 * usual:
         return t, 0.0
@@ -63,18 +63,18 @@ def _behind(t: Array, step: float) -> Array:
 
 
 def roughness(t: Array, q: Array) -> float:
-    """How far every second sample ``(N, n)`` is from a smooth curve through the others, fastest joints first."""
+    """Distance of every second sample ``(N, n)`` from a smooth curve through the others, fastest joints first."""
     moved = np.median(np.abs(interpolate.CubicSpline(t[::2], q[::2], axis=0)(t[1::2]) - q[1::2])[2:-2], axis=0)
     return float(np.sqrt(np.mean(moved**2)))
 
 
 def on_its_clock(recording: Recording) -> Recording:
-    """The recording with the instants of sampling for stamps, or as it is."""
+    """The recording with estimated sampling instants as stamps, or unchanged."""
     t, jitter = regular_stamps(recording.t, recording.joints("q"))
     return replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(t)}) if jitter else recording
 
 
-# Stamps that do not rise: a handful of bad ones, or stamps of fewer digits than the clock that sampled.
+# Repairs stamps that do not rise: a few bad ones, or stamps with fewer digits than the sampling clock.
 
 LONGEST_PAUSE = 600.0
 """Longest time between two samples [s]; the clock was set, or two recordings joined, where it is longer."""
@@ -85,12 +85,12 @@ _TIES = 0.2
 
 
 def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
-    """The recording with stamps that rise, and what was done; as it is where that cannot be said.
+    """The recording with rising stamps, and the changes; unchanged where they cannot be repaired.
 
-    Recordings one after another, each with a clock of its own, are joined with a pause between them. Samples of a
-    handful of stamps that fall are left out, of two with one stamp the one that is off the others' motion. Stamps of
-    too few digits, many of them alike, are put on a clock: an even one, or one that spreads the samples of a stamp
-    evenly, whichever the positions are smoother over.
+    Recordings one after another, each with a clock of its own, are joined with a pause between them. A few samples with
+    falling stamps are removed; of two with the same stamp the one that does not fit the motion. Stamps of too few
+    digits, many of them alike, are put on a clock: an even one, or one that spreads the samples of a stamp evenly,
+    whichever the positions are smoother over.
     """
     t = recording.t
     if len(t) < 2 or not np.all(np.isfinite(t)):
@@ -201,12 +201,11 @@ def _of_ties(t: Array, q: Array, rising: np.ndarray) -> np.ndarray:
     return chosen
 
 
-# Samples taken at irregular instants, and stamped as if they were regular: the motion itself tells the instants.
+# Samples taken at irregular instants but stamped regularly: the instants are estimated from the motion.
 #
-# A sample that is taken late by ``delta`` has every joint further along its way by ``qd delta``. What all joints have
-# in common of the fast part of their positions, each in proportion to its speed, is the clock's; what they do not have
-# in common is vibration, friction or noise of a joint. Joints that are moved in step have their motion in common as
-# well; that is smooth, however, and a clock's scatter is not.
+# In a sample taken late by ``delta`` every joint is ahead by ``qd delta``. The common fast part of all joints'
+# positions, in proportion to their speeds, is caused by the clock; the rest is vibration, friction or noise of a joint.
+# Synchronous motion is common, too, but it is smooth, and a clock's jitter is not.
 
 _MOTION = 5.0
 """Frequency above which positions hold more of a jitter of the clock than of the motion [Hz]."""
@@ -227,8 +226,8 @@ _ROUNDS = 3
 def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
     """Instants at which samples were taken ``(N,)`` [s], and their standard deviation about the stamps [s].
 
-    The increasing stamps themselves and zero, unless the positions ``(N, n)`` of all joints say the same of a clock
-    that scatters.
+    The increasing stamps themselves and zero, unless the positions ``(N, n)`` of all joints show that the sampling
+    itself was jittering.
     """
     if len(t) < _FEWEST or q.shape[1] < 2 or not np.all(np.isfinite(q)):
         return t, 0.0
@@ -248,12 +247,12 @@ def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
 
 
 def at_sampling_instants(recording: Recording) -> tuple[Recording, float]:
-    """The recording stamped with the instants of sampling, and how far these are from the stamps; or as it is."""
+    """The recording stamped with the sampling instants, and their standard deviation from the stamps; or unchanged."""
     q = recording.joints("q")
     t, spread = sampling_instants(recording.t, q)
     if spread == 0.0:
         return recording, 0.0
-    # A clock that is less rough than jittering stamps need not be the one that sampled.
+    # A regular clock that is smoother than the jittering stamps need not be the right one, so both are compared.
     regular, jitter = regular_stamps(recording.t, q)
     if jitter > 0.0 and roughness(regular, q) <= roughness(t, q):
         return recording, 0.0
@@ -298,7 +297,7 @@ def _common(of: _Products, without: int | None = None) -> Array:
         if without is not None:
             weights[without] = 0.0
         gain, raw = of.squared @ weights, of.product @ weights
-        # The clock's own scatter, as what the samples say less what their noise makes of it.
+        # The clock's jitter: the estimated one less the part caused by the samples' noise.
         strong = gain > np.median(gain)
         if not strong.any():
             return np.zeros(len(gain))
@@ -323,19 +322,19 @@ def _foretold(of: _Products) -> float:
     return float(np.median(shares))
 
 
-# Even instants.
+# Resampling to even instants.
 
 _GAP = 5.0
 """A pause longer than this many sampling steps is a hole; nothing near it is trusted."""
 
 
 def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
-    """A uniform time grid at the recording's median step, and a mask of grid points that lie in holes."""
+    """A uniform time grid at the recording's median step, and a mask of grid points within gaps."""
     t = recording.t
     steps = np.diff(t)
     if len(steps) == 0 or np.any(steps <= 0):
         raise InputError("time must increase from sample to sample", file=recording.source, field="t")
-    # The mean of the ordinary steps, not the median, so that jittering stamps do not stretch the grid.
+    # The mean of ordinary steps, not the median, so that jittering stamps do not stretch the grid.
     dt = float(np.mean(steps[steps < _GAP * np.median(steps)]))
     count = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
     grid = t[0] + dt * np.arange(count)
@@ -350,7 +349,7 @@ def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Arr
 
     Args:
         t, values: times ``(N,)`` [s] and values ``(N, m)``.
-        grid, smooth: times asked for ``(M,)`` [s], and whether the values are free of noise.
+        grid, smooth: times of the result ``(M,)`` [s], and whether the values are free of noise.
     """
     if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
         return np.array(values, dtype=float)
@@ -360,14 +359,13 @@ def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Arr
 
 
 def gap_free(recording: Recording, prefixes: Sequence[str], fewest: int) -> list[Recording]:
-    """The stretches between a recording's gaps, each at even instants; the recording itself where it is even already.
+    """The intervals between a recording's gaps, each at even instants; the recording itself if it is even.
 
-    A gap is what is a hole to ``uniform_time``; fewer lost rows are filled in from those around them. Raises InputError
-    where a column is missing.
+    A gap is one of ``uniform_time``; shorter losses are interpolated. Raises InputError where a column is missing.
 
     Args:
         recording, prefixes: with ``t`` and ``q_i``, time increasing; the quantities of the joints that are needed.
-        fewest: samples without which a stretch is of no use and left out, at least two.
+        fewest: least number of samples of an interval, at least two; shorter ones are dropped.
     """
     recording = on_its_clock(recording)
     t, steps = recording.t, np.diff(recording.t)
@@ -387,7 +385,7 @@ def gap_free(recording: Recording, prefixes: Sequence[str], fewest: int) -> list
     return stretches
 
 
-# Stretches of long recordings.
+# Excerpts of long recordings.
 
 MOST = 500_000
 """Samples that are used at most, 17 minutes at 500 Hz: a fit takes about three kilobytes for each."""
@@ -402,7 +400,7 @@ FEWEST = 5_000
 
 
 def stretches(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]:
-    """The recordings, or of more than ``MOST`` samples stretches of each, and a warning that says so."""
+    """The recordings, or excerpts of each if they have more than ``MOST`` samples, and a warning about it."""
     total = sum(len(recording.t) for recording in recordings)
     if total <= MOST:
         return tuple(recordings), []
@@ -418,9 +416,9 @@ def stretches(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], l
 
 
 def shortened(recording: Recording) -> tuple[Recording, list[str]]:
-    """The recording, or of more than ``MOST`` samples its stretches as one recording, and a warning that says so.
+    """The recording, or excerpts of it joined to one if it has more than ``MOST`` samples, and a warning.
 
-    The time between stretches is taken out: they follow each other after a pause, near which nothing is used.
+    The time between excerpts is removed: they follow each other after a pause, near which no samples are used.
     """
     parts, warnings = stretches([recording])
     if not warnings:

@@ -1,4 +1,4 @@
-"""Tables on disk (Parquet, CSV, npz) within bounds: what a file claims to hold is checked before it is unpacked."""
+"""Tables on disk (Parquet, CSV, npz) within bounds: a file's stated size is checked before it is unpacked."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _UNPACKED = 8
 
 
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
-    """Columns ``(N,)`` by name, the metadata, and the names of columns that are not of numbers, which are left out.
+    """Columns ``(N,)`` by name, the metadata, and the names of omitted non-numeric columns.
 
     Of a Parquet file, or of a CSV or npz file by its ending. Dates are seconds since 1970, times of the day seconds
     since midnight; lists of one length in a Parquet file, and arrays ``(N, n)``, are columns ``name_0``, ``name_1``, ….
@@ -51,7 +51,7 @@ def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]
         return {".csv": _csv, ".npz": _npz}.get(path.suffix.lower(), _parquet)(path)
     except InputError:
         raise
-    except Exception as error:  # pandas and Arrow raise many kinds for a damaged file
+    except Exception as error:  # pandas and Arrow raise many types of exceptions for a damaged file
         shown = " ".join(str(error).split())[:300]
         raise InputError(f"not a readable recording ({type(error).__name__}: {shown}); expected Parquet, CSV, "
                          "npz, a ROS bag or MCAP", file=path) from error
@@ -74,7 +74,7 @@ def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
         columns, words = _filled((_flat(piece, widths, path) for piece in pieces), unfolded, rows)
     words += [name for name in schema.names if name not in names]
     meta = {} if raw is None else _metadata(raw, path)
-    # A file that was made of another one carries what its reader said of the other: it is dropped.
+    # Notes of another file's reader in the metadata do not apply to this file.
     meta = {key: value for key, value in meta.items() if key != "reading"}
     if widths:
         said = ", ".join(f"{name} of {width} values" for name, width in widths.items())
@@ -168,10 +168,10 @@ def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     form = _layout(path)
     TABLE_COLUMNS.check(len(form.titles), path)
     titles = _apart(form.titles)
-    # An empty value takes a byte, its comma.
+    # An empty value takes one byte, its comma.
     TABLE_VALUES.check(min(rows * len(form.titles), path.stat().st_size), path, "cut it into pieces")
     with warnings.catch_warnings():
-        # Rows of more values than there are names, which pandas would cut.
+        # Rows with more values than names, which pandas would truncate.
         warnings.simplefilter("error", pd.errors.ParserWarning)
         with pd.read_csv(path.absolute(), index_col=False, low_memory=False, sep=form.separator, decimal=form.decimal,
                          names=titles, header=None, skiprows=form.skipped, encoding=form.encoding,
@@ -205,7 +205,7 @@ def _apart(titles: list[str]) -> list[str]:
     return list(apart)
 
 
-# How a text file is a table: what stands between its values, before them and over them.
+# Recognises the form of a text table: separator, comment marks and headers.
 
 _LOOKED_AT = 64
 """Lines in which a table begins, if at all."""
@@ -241,7 +241,7 @@ def _layout(path: Path) -> _Layout:
     try:
         lines = b"".join(raw).decode(encoding).splitlines()
     except UnicodeDecodeError:
-        # As spreadsheets of Western Europe save degrees and umlauts.
+        # The encoding in which Western European spreadsheets save degrees and umlauts.
         encoding = "cp1252"
         lines = b"".join(raw).decode(encoding, errors="replace").splitlines()
     for separator, name in _SEPARATORS.items():
@@ -253,7 +253,7 @@ def _layout(path: Path) -> _Layout:
         width = len(rows[begin])
         above = [row for row in rows[:begin] if len(row) == width]
         if begin and not above and separator == ",":
-            # Another number of titles than of columns: pandas' error says so.
+            # The number of titles differs from that of columns, which pandas reports.
             break
         titles, units = (above[-1], None) if above else ([""] * width, None)
         if len(above) > 1 and _are_units(above[-1]):
@@ -318,7 +318,7 @@ def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int) 
             else:
                 columns[name][count : count + len(frame)] = numbers
         count += len(frame)
-        let_go(*list(columns.values())[:1])  # all lie in one file
+        let_go(*list(columns.values())[:1])  # the first array suffices, as all are in one file
     columns = columns or {name: np.empty(0) for name in names or ()}
     return {name: values[:count] for name, values in finished(columns).items() if name not in words}, list(words)
 

@@ -41,7 +41,7 @@ _FORCE = ("force_x", "force_y", "force_z", "moment_x", "moment_y", "moment_z")
 
 
 class StreamMotionError(IdealRobotError):
-    """The controller is not there, does not let itself be led, or has stopped the arm."""
+    """The controller is not reachable, refuses to be commanded, or has stopped the arm."""
 
 
 class StreamMotionRobot(LinkedRobot):
@@ -51,8 +51,8 @@ class StreamMotionRobot(LinkedRobot):
         robot: six joints, limits, and the controller's cycle.
         host: address of the controller.
         port, rmi_port: of Stream Motion and of RMI.
-        j23: what of joint 2 the wire's joint 3 lacks against the URDF's: ``q_3 = J3 + j23 · J2``.
-        timeout: silence of the controller after which the link counts as broken [s].
+        j23: coupling of joint 2 into the controller's joint 3: ``q_3 = J3 + j23 · J2``.
+        timeout: silence of the controller after which the link is taken as broken [s].
         bridge: how long packets may be lost in a row [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -77,12 +77,13 @@ class StreamMotionRobot(LinkedRobot):
         self._version, self._answered = _VERSION, False
 
     def connect(self, patience: float = 60.0) -> RobotState:
-        """Starts the controller's program and the stream; commands have to come from now on.
+        """Starts the controller's program and the stream; commands have to follow from then on.
 
-        Returns the state at rest, ``t = 0``. ``commanded`` is then where the arm stands.
+        Returns the state at rest, ``t = 0``. ``commanded`` is then the arm's position.
 
         Raises:
-            StreamMotionError: no controller within ``patience`` [s], another cycle, an arm that cannot be led now.
+            StreamMotionError: no controller within ``patience`` [s], another cycle, an arm that cannot be commanded
+                now.
         """
         from airo_fanuc import _core
         from airo_fanuc.exceptions import FanucError, RmiError
@@ -120,7 +121,7 @@ class StreamMotionRobot(LinkedRobot):
         return self._state(status)
 
     def send(self, q_c: Array) -> None:
-        """See ``LinkedRobot.send``; a status that has its answer gets no other one: the next is waited for."""
+        """First half of ``cycle``: sends a command; as a status is answered once, a second one waits for the next."""
         if self._answered:
             self.receive()
         super().send(q_c)
@@ -128,7 +129,7 @@ class StreamMotionRobot(LinkedRobot):
     def _stands_now(self) -> Array | None:
         with suppress(StreamMotionError):
             status = self._next(Deadline.within(0.0))
-            # A number is answered once, and the newest alone.
+            # Each number is answered once, and only the newest one.
             self._number = int(status["sequence_no"])
             return self._angles(status)
         return None
@@ -164,11 +165,11 @@ class StreamMotionRobot(LinkedRobot):
         return self._state(status)
 
     def close(self) -> None:
-        """Ends the stream with the last command, and the connection."""
+        """Ends the stream with the last command, and closes the connection."""
         if self._socket is not None:
             with suppress(OSError, StreamMotionError):
                 if np.isfinite(self.commanded).all():
-                    # A number is answered once: the last command belongs to a status that has no answer yet.
+                    # Each number is answered once, so the last command needs a status without an answer.
                     if self._answered:
                         self._number = int(self._next(Deadline.within(_AGAIN))["sequence_no"])
                     self._command(self.commanded, last=True)
@@ -204,7 +205,7 @@ class StreamMotionRobot(LinkedRobot):
 
     def _tell(self, packet: bytes) -> None:
         if self._socket is not None:
-            with suppress(ConnectionRefusedError):  # nobody is there any more, which silence will say
+            with suppress(ConnectionRefusedError):  # the controller has gone, which its silence will show
                 self._socket.send(packet)
 
     def _command(self, q: Array, last: bool, ahead: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""The regressions of measured arm angles and TCP positions."""
+"""The regressions of measured arm angles and of TCP positions."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def position_regressions(recording: Recording, robot: Robot, torque: Regression,
 
 def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
                          stiffness: Array | None) -> Regression | None:
-    """See ``position_regressions``. Arm angle minus motor angle of each joint, and minus the gears' known deflection.
+    """Arm angle minus motor angle of each joint, and minus the gears' known deflection; see ``position_regressions``.
 
-    Only a constant difference is taken for granted. Joints without an encoder on the arm's side are absent.
+    Only a constant difference is part of the model. Joints without an encoder on the arm's side are absent.
     """
     mask = recording.having("qa")
     if not mask.any():
@@ -56,10 +56,10 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
 
 def tool_regression(recording: Recording, robot: Robot, torque: Regression,
                     stiffness: Array | None) -> Regression | None:
-    """See ``position_regressions``. Measured TCP minus that of the nominal kinematics at the arm angles.
+    """Measured TCP minus that of the nominal kinematics at the arm angles; see ``position_regressions``.
 
     Where arm angles are not measured they are the motor angles with the gears' known deflection. An axis that was not
-    measured is absent. Where the measuring device stands (a small rotation and a shift) is fitted beside it.
+    measured is absent. The place of the measuring device (a small rotation and a shift) is fitted, too.
     """
     measured = measured_axes(recording)
     if not measured.any():
@@ -74,7 +74,7 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
     W[:, :, :3] = np.eye(3)
     for i, axis in enumerate(np.eye(3)):
         W[:, :, 3 + i] = np.cross(axis, p)
-    # With a measured arm angle the gear has no part in what is left.
+    # With a measured arm angle the gear does not contribute to the residual.
     load = np.where(recording.having("qa"), 0.0, torque.signals.load)
     return _measured(torque, torque.filtered.decimate(xyz - frames.tool), measured, channels=("x", "y", "z"),
                      units=("m",) * 3, W=torque.filtered.decimate(W), domain=TCP_POSITION,
@@ -94,7 +94,10 @@ def measured_axes(recording: Recording) -> np.ndarray:
 
 
 def arm_angles(recording: Recording, torque: Regression, stiffness: Array | None) -> Array:
-    """See ``position_regressions``. Arm angles ``(N, n)`` at the undecimated instants, measured or as gears bend."""
+    """Arm angles ``(N, n)`` at the undecimated instants, measured or from gear deflection.
+
+    See ``position_regressions``.
+    """
     angles = torque.signals.q + _deflection(torque, stiffness)
     for j in np.flatnonzero(recording.having("qa")):
         angles[:, j] = resampled(recording.t, recording.columns[f"qa_{j + 1}"][:, None], torque.filtered.t)[:, 0]
@@ -108,10 +111,10 @@ def _deflection(torque: Regression, stiffness: Array | None) -> Array:
 
 
 def punctual(recording: Recording, delays: Sequence[tuple[int, float]]) -> Recording:
-    """The recording with arm angles as they were when it was recorded.
+    """The recording with the delays of arm angles removed.
 
-    Nothing is recorded before it happens: where arm angles seem early, it is the motors' that are late. Of each delay
-    the joint (from 1; 0 for all) and by how much its arm angle is late [s].
+    A recording cannot be early: if arm angles seem early, the motors' are late. Each delay has its joint (from 1; 0 for
+    all) and the delay of its arm angle [s].
     """
     columns, t = dict(recording.columns), recording.t
     for joint, delay in delays:
@@ -121,11 +124,10 @@ def punctual(recording: Recording, delays: Sequence[tuple[int, float]]) -> Recor
 
 
 def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regression:
-    """The regression of arm angles with the twist by springs that torques cannot distinguish from weight.
+    """The regression of arm angles with columns for springs that torques cannot distinguish from weight.
 
-    A term of the form of gravity goes to the spring or to the masses as it falls out, and whether a spring pulls on
-    the motor's or on the arm's side of its gear no torque says: what the gear carries is known but for the columns of
-    such ``effects`` of the motor torques.
+    Torques do not show whether a term like gravity belongs to a spring or to masses, nor on which side of the gear a
+    spring acts. The gear torque is therefore known except for the columns of such ``effects``.
     """
     loose = [made.columns_of(choice.effect, choice.joint, choice.theta) for choice in effects
              if isinstance(choice.effect, AngleLaw) and made.use[:, choice.joint - 1].any()

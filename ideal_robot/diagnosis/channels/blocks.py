@@ -1,4 +1,4 @@
-"""Blocks of time of a recording, and groups of columns that act on some of its channels."""
+"""Blocks of time of a recording, and groups of columns for some of its channels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ideal_robot.arrays import Array
 
 @dataclass(frozen=True)
 class Blocks:
-    """Consecutive stretches of time.
+    """Consecutive intervals of time.
 
     Attributes:
         edges: first sample of each block and the end ``(B + 1,)``.

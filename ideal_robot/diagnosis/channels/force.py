@@ -1,4 +1,4 @@
-"""Regressions of a force sensor: without contact of its wrench, in contact of the tip's place."""
+"""Regressions of a force sensor: of its wrench without contact, of the tip's place in contact."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def force_regressions(recording: Recording, validate: Recording | None, robot: R
     if free is not None:
         yield free, None if other is None else other.without_contact(wrench.turns)
     contact = wrench.in_contact(recording, robot, stiffness)
-    # The surface of another recording is another one: its curve would say nothing here.
+    # Another recording has another surface, so its curve does not apply.
     if contact is not None:
         yield contact, None
 
@@ -132,12 +132,13 @@ class _Wrench:
         assumed = recording.meta.get("contact_stiffness")
         y = place @ normal + (pressed / float(assumed) if assumed else 0.0)
         y = y - y[strong].mean()
-        # Damping of the tip, and a force that is a little late against the position, follow the force's rate.
+        # Damping of the tip, and a small delay of the force against the position, are proportional to the force's rate.
         rate = np.gradient(pressed, dt)
         W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
-        # The filter looks to both sides: out of contact stands what was last or next in contact, where the law holds.
+        # The filter has a two-sided window: without contact it uses the last or next contact values, for which the law
+        # holds.
         touching, = ndimage.distance_transform_edt(~strong, return_distances=False, return_indices=True)
-        # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
+        # Noise of the force in the column would bias its coefficient low; a narrow band has less noise.
         band = min(BAND, 0.2 / dt)
         noise = noise_floor(filtered.decimate(y[touching])[:, None], 2.0 * band * dt * filtered.factor)
         y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
@@ -172,7 +173,7 @@ def _wrench_of(recording: Recording, robot: Robot, torque: Regression) -> _Wrenc
     filtered, usable = torque.filtered, np.all(np.isfinite(measured), axis=1)
     if not usable.any():
         return None
-    # Held within gaps, near which nothing is used.
+    # Values are constant within gaps, near which no samples are used.
     values = resampled(recording.t, interpolated(recording.t, recording.t[usable], measured[usable]), filtered.t)
     usable = interpolated(filtered.t, recording.t, usable[:, None])[:, 0] == 1.0
     usable = ndimage.binary_erosion(usable, iterations=_memory(filtered.dt), border_value=1)
@@ -208,7 +209,8 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     limit = 1.0 + 3.0 * noise / np.sqrt(width)
     rows = np.zeros((len(force), 3, 5))
     rows[:, :, :3], rows[:, :, 3], rows[:, :, 4] = np.eye(3), pull, push
-    # A bias of ten newtons, a tool of three kilograms (or as calibrated): decides what the orientations leave open.
+    # Prior: a bias of ten newtons, a tool of three kilograms (or as calibrated), for what the orientations do not
+    # determine.
     ridge = np.diag((max(noise, 1e-3) / np.array([10.0, 10.0, 10.0, 0.02 if calibrated else 3.0, 3.0])) ** 2)
 
     def fitted(gram: Array, right: Array) -> Array:
@@ -221,7 +223,7 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     everything = fitted(*sums(slice(None)))
     if np.percentile(np.linalg.norm(smooth - rows @ everything, axis=1), 99.0) < limit:
         return np.ones(len(force), dtype=bool), everything[:4], limit
-    # A stretch is without contact as a whole, or not: one that the filters remember.
+    # An interval as long as the filters' memory is without contact as a whole, or not.
     chunk = _memory(dt)
     free = np.zeros(len(force), dtype=bool)
     free[: 2 * chunk] = True
@@ -233,7 +235,7 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
             free[part] = True
             more = sums(part)
             gram, right = gram + more[0], right + more[1]
-    # A touch begins before it is felt.
+    # A contact begins before the force shows it, so the ends are removed.
     return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4], limit
 
 
@@ -273,7 +275,7 @@ def _surface(place: Array, normal: Array, strong: np.ndarray) -> Array:
     flat = (place - middle) - np.outer((place - middle) @ normal, normal)
     _, _, axes = np.linalg.svd(flat[strong][:: max(1, int(strong.sum()) // 2000)], full_matrices=False)
     along, across = flat @ axes[0], flat @ axes[1]
-    # A path on one line leaves nothing across but what tilts the normal; it must not stand for the force.
+    # On a path along one line the lateral position only shows a tilt of the normal; it must not replace the force.
     columns = [across] if float(np.std(across[strong])) > 0.1 * KNOTS else []
     low, high = float(along[strong].min()), float(along[strong].max())
     intervals = int(min((high - low) / KNOTS, 40))

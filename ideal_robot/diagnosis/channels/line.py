@@ -1,9 +1,9 @@
 """The regression of a camera that sees a line: all its points must lie on one smooth curve in the base frame.
 
-Each place of the line is seen in several fields, from other poses and at other places of the image. The curve itself is
-not known: its lateral deviation from the path of the tool is a spline, whose coefficients are eliminated: residual and
-columns of effects are what the best curve through all points leaves of them. The curve is no part of any model, so it
-may know all fields; were it to be foretold where hardly any other field has looked, nothing else would be tested.
+Each place of the line is seen in several fields, from other poses and at other places of the image. The curve is
+unknown: its lateral deviation from the path of the tool is a spline, whose coefficients are eliminated from residual
+and columns. The curve is not part of a model, so it is fitted to all fields; a held-out test would test hardly anything
+but the extrapolation of the curve.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class _SeenPoints:
             elif isinstance(error, StampError):
                 whole = error.late(self.t) * self.speed
             remainder = self.beside(whole)
-            # As of any effect: what another line can do nearly as well is none of the camera.
+            # As for other effects: if another line explains an error nearly as well, it is not attributed to the
+            # camera.
             if not error.optional or float(np.sum(remainder**2)) > OWN * float(np.sum(whole**2)):
                 result[error.signal] = remainder
         return result
@@ -75,7 +76,10 @@ class _SeenPoints:
 
 def line_regression(recording: Recording, robot: Robot, torque: Regression,
                     stiffness: Array | None) -> Regression | None:
-    """See ``position_regressions``. Of a camera's ``cam_t`` and ``line_x_i line_y_i line_z_i``; None for too few."""
+    """The regression of a camera's ``cam_t`` and ``line_x_i line_y_i line_z_i``; None for too few points.
+
+    See ``position_regressions``.
+    """
     fields = _seen(recording)
     if fields is None:
         return None
@@ -98,7 +102,7 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     s, d, tangent, field = s[rows], d[rows], tangent[rows], number[rows]
     if len(np.unique(field)) < FEWEST:
         return None
-    # A point that moves along its line comes to where the line has another deviation.
+    # A point displaced along its line is compared with the line's deviation at another place.
     normal = np.cross(up, tangent) - slope[:, None] * tangent
     moved = twist[field, :3] + np.cross(twist[field, 3:], lever[rows])
     times = stamps[field] - begin
@@ -110,7 +114,7 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
                                  for name in ("q", "qd", "qdd", "load", "torque", "friction")}
     signals = Signals(times, **at_points, extra=seen_points.signals())
     noise_floor = np.array([_finding_noise(residual, field)])
-    # As little known as the line is how its surface inclines: along it points come nearer or farther than taken for.
+    # The surface's inclination along the line is unknown, too: it changes the distances of the points.
     inclined = seen_points.beside((s - s.mean()) * seen_points.off(seen_points.out))
     y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
     use = np.ones(y.shape, dtype=bool)
@@ -181,7 +185,7 @@ def _against(path: Array, s_path: Array, x: Array, tool: Array, up: Array) -> tu
     inside = np.ones(len(x), dtype=bool)
     last = 0
     for k, point in enumerate(x):
-        # From the tool on, so that a line that crosses itself is not mixed up.
+        # Searched from the last place of the tool on, so that a line that crosses itself is not mixed up.
         part = slice(max(last - 50, 0), last + 300)
         last = part.start + int(np.argmin(np.sum((path[part] - tool[k]) ** 2, axis=1)))
         near = slice(max(last - 50, 0), last + 250)
@@ -202,7 +206,7 @@ def _curve(s: Array, d: Array) -> tuple[Array, Array, np.ndarray]:
     for last in (False, True):
         low, high = float(s[inliers].min()), float(s[inliers].max())
         grid = np.linspace(low, high, max(int((high - low) / KNOTS), 2) + 1)
-        # Where nothing was seen there is nothing to bend.
+        # No knots where no points were seen.
         filled = np.histogram(s[inliers], grid)[0] >= 3
         knots = tuple(float(v) for v in np.concatenate([[low], grid[1:-1][filled[:-1] & filled[1:]], [high]]))
         W = spline_basis(s[inliers], knots, 0.1)

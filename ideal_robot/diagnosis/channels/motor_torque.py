@@ -1,4 +1,4 @@
-"""From a recording and a model to a regression: what was measured, what the model expects, what may be changed in it.
+"""Makes a regression of motor torques from a recording and a model: measured, expected, free parameters.
 
 One row per joint and time step: the motor torque minus the model's, and the derivative of the model with respect to
 all of its parameters (``ideal_robot.model.parametrisation``), both through the same decimation filter.
@@ -52,7 +52,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     Args:
         recording: with ``q_i`` and ``tau_i``.
         robot: whose URDF it is.
-        model: what predicts, and whose parameters may change.
+        model: model of the prediction, whose parameters may change.
         cutoff: of the position filter [Hz], from the data if None.
         reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s]; from the noise of the position if
             None.
@@ -64,7 +64,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     """
     n = robot.n
     recorded = _filtered(recording, cutoff)
-    # Many samples average the noise of positions or forces that are measured beside the motors'.
+    # With position or force channels all samples are kept, as they average the noise.
     more = {"x", "y", "z", "fx", "cam_t"} & recording.columns.keys() or recording.having("qa").any()
     filtered = _differentiated(recorded if more else _thinned(recorded))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
@@ -73,7 +73,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     extra = {name: values for name, values in filtered.columns.items() if not is_known_column(name)}
 
     def body_on(link: int) -> Array:
-        # A copy: a part of the whole regressor would keep all of it.
+        # A copy, as a view would keep the whole regressor in memory.
         return regressor(robot.pinocchio, q, qd, qdd)[:, :, model.base.layout.carried_by(link)].copy()
 
     payload = payload or any(e.effect.loop_change(e.coefficients, e.theta).body for e in model.effects)
@@ -83,7 +83,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
                       v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None,
                       tool=np.array(robot.tool_place, dtype=float))
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
-    # Of a long recording the bodies' columns at all samples would be the largest thing in memory.
+    # For a long recording the bodies' columns at all samples would need the most memory.
     bodies = filtered.decimate_motion(lambda some: full_regressor(robot.pinocchio, q[some], qd[some], qdd[some],
                                                                   model.base.independent))
     W = np.concatenate([bodies, filtered.decimate(friction_sensitivity(model.friction, q, qd, load))], axis=2)
@@ -98,7 +98,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
 
 def _filtered(recording: Recording, cutoff: float | None) -> FilteredSignals:
     """The recording behind both filters, with no more rows than ``ROWS``."""
-    # Within pauses nothing was sampled.
+    # The median step gives the rate, as pauses have no samples.
     rate = 1.0 / max(float(np.median(np.diff(recording.t))), 1e-9)
     duration = len(recording.t) / rate
     cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
@@ -151,15 +151,15 @@ def _moving_samples(filtered: FilteredSignals, v_small: Array, robot: Robot) -> 
 
 
 def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest, in time and in travel.
+    """Mask ``(N, n)`` of moving samples away from each reversal and each rest, in time and in distance.
 
-    How friction goes through zero there is another matter in every drive, and no cause may be built on it. Filters
-    remember it for a time, bristles for a travel, which slow motion is long in covering.
+    Friction near zero speed differs between drives, so no cause may depend on it. Filters keep its influence for a
+    time, the presliding state for a distance, which takes long in slow motion.
 
     Args:
         q, qd: positions and velocities ``(N, n)`` [rad or m, and per second].
         moving: samples at which each joint moves ``(N, n)``.
-        width, dt: time left out to either side, and between samples [s].
+        width, dt: time excluded on either side, and between samples [s].
     """
     near = ~moving
     change = np.diff(np.sign(qd), axis=0) != 0
@@ -210,7 +210,7 @@ def about_model(made: Regression, model: Model) -> Regression:
             prediction = prediction + added
             change = effect.effect.loop_change(effect.coefficients, effect.theta)
             if change.body or change.gravity is not None or change.zero:
-                # What the gears carry besides bends them as well.
+                # Additional gear torques deflect the gears as well.
                 load = load + added
     signals = replace(signals, load=load)
     return replace(made, signals=signals,
@@ -233,9 +233,9 @@ def _bent_gears(signals: Signals) -> Array:
 
 
 def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:
-    """The regression with dry friction that changes sign over other speeds, and without samples that slow.
+    """The regression with dry friction that changes sign over another range of speeds, without samples in it.
 
-    Where an axis creeps, its friction is anything between none and sliding, by a law that is another in every drive.
+    At creeping speed friction is anything between zero and sliding friction, by a law that differs between drives.
 
     Args:
         made, model: the regression, and whose friction it is.
@@ -252,7 +252,7 @@ def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -
 
 
 def direction_of(signals: Signals, j: int) -> Array:
-    """Direction of motion of joint ``j`` (from 0) as friction laws want it ``(N, 1)``."""
+    """Direction of motion of joint ``j`` (from 0) for friction laws ``(N, 1)``."""
     return signals.direction(signals.qd[:, j], j + 1)[:, None]
 
 
@@ -266,7 +266,7 @@ def _differentiated(filtered: FilteredSignals) -> FilteredSignals:
 
 
 def in_position_band(made: Regression, recording: Recording) -> Regression:
-    """The times and filters of a recording's regression of torques for what is measured of positions and forces."""
+    """Sets times and filters of a torque regression for the position and force channels of the same recording."""
     rate = 1.0 / made.filtered.dt
     filtered = preprocess(recording, cutoff=made.filtered.cutoff, cutoff_decimation=min(POSITION_BAND, 0.5 * rate))
     if len(filtered.t) > len(made.filtered.t):
@@ -284,9 +284,9 @@ def _thinned(filtered: FilteredSignals) -> FilteredSignals:
 
 
 def without_spikes(recording: Recording) -> Recording:
-    """The recording with single outliers of the torque replaced by what their neighbours say.
+    """The recording with single outliers of the torque replaced by values from their neighbours.
 
-    As they were recorded: brought to an even grid, a sample before a hole becomes as many as the hole is long.
+    This is done on the recorded samples, as resampling would multiply an outlier before a gap.
     """
     columns = dict(recording.columns)
     for name in (f"tau_{j + 1}" for j in range(recording.n) if f"tau_{j + 1}" in columns):
@@ -302,10 +302,10 @@ def without_spikes(recording: Recording) -> Recording:
 
 
 def in_own_units(made: Regression) -> Regression:
-    """Torque and load of the nominal model in the units of each joint's measurement, by one factor a joint."""
+    """Torque and load of the nominal model in the units of each joint's measurement, by one factor per joint."""
     s, nominal = made.signals, made.filtered.decimate(made.signals.torque)
     factor = (nominal * made.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300)
-    # A vertical axis carries no weight in any unit.
+    # A vertical axis has no gravity torque in any unit.
     signals = replace(s, torque=s.torque * factor, load=s.load * factor, friction=s.friction * factor,
                       weight=None if s.weight is None else s.weight * factor, rigid=None, gravity_across=None)
     return replace(made, signals=signals, y=made.measured, units=("A",) * len(made.units),

@@ -1,4 +1,4 @@
-"""A regression: what was measured, what the model expects, and what may be changed in it."""
+"""A regression: measured values, expected values, and the columns of what may change."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ class Regression:
         t: decimated times from the start of the recording ``(N,)`` [s].
         channels, units: names and units of the ``c`` channels.
         y: measured minus predicted ``(N, c)``.
-        measured: what was measured ``(N, c)``.
+        measured: measured values ``(N, c)``.
         W: derivative of the prediction by the model's parameters ``(N, c, p)``.
-        use: samples that count ``(N, c)``.
+        use: samples that are used ``(N, c)``.
         signals: undecimated signals for effects.
         filtered: the filter that made them; its ``decimate`` brings columns of effects to the rows of ``y``.
-        undecided: joints (from 1) of which the motion tells little, and why.
+        undecided: joints (from 1) with too little motion, and why.
         domain: where its effects act.
         prismatic: which joints slide and are measured in N and m ``(n,)``.
-        noise_floor: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
-        absent: channels (from 0) that the recording does not have; none of their samples counts.
+        noise_floor: level of the measurement's own noise per channel ``(c,)``, in the used band.
+        absent: channels (from 0) that the recording does not have; none of their samples is used.
     """
 
     t: Array
@@ -64,7 +64,7 @@ class Regression:
 
     @property
     def step(self) -> float:
-        """Time from one row to the next [s]; in the mean, for points of one camera field have the same."""
+        """Time from one row to the next [s]; a mean for cameras, as the points of a field have the same time."""
         return float(self.t[-1] - self.t[0]) / max(len(self.t) - 1, 1)
 
     def blocks(self) -> Blocks:
@@ -76,7 +76,7 @@ class Regression:
         return joint - 1 if joint and self.domain != TCP_POSITION else None
 
     def columns_of(self, effect: Effect, joint: int, theta: tuple[float, ...]) -> Array:
-        """See ``Effect.columns``. At the rows of ``y``, shape ``(N, c, m)``."""
+        """Columns ``(N, c, m)`` of an effect at the rows of ``y``; see ``Effect.columns``."""
         key = effect, joint, theta
         if key not in self._columns:
             self._columns[key] = self.filtered.decimate(effect.columns(self.signals, joint, theta))
@@ -102,10 +102,9 @@ class Regression:
 
 
 def without_known(made: Regression, effects: Sequence[FittedEffect]) -> Regression:
-    """The regression of positions with what a model's effects already say of them taken away.
+    """The regression of positions with a model's known effects subtracted.
 
-    What is found then is a change of what is known, not the same thing once more. Readings of cameras and force sensors
-    are corrected before they are recorded.
+    New effects are then changes of the known ones. Recorded cameras and force sensors are corrected already.
     """
     known = [effect for effect in effects if effect.domain == made.domain and made.domain != SENSOR]
     if not known:
@@ -143,20 +142,20 @@ _GAPS = "it holds gaps"
 
 
 def rms(values: Array, use: np.ndarray) -> Array:
-    """Root mean square per channel ``(c,)`` of values ``(N, c)`` over the samples that count ``(N, c)``."""
+    """Root mean square per channel ``(c,)`` of values ``(N, c)`` over the used samples ``(N, c)``."""
     return np.asarray(np.sqrt((values**2 * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1)))
 
 
 def spread(values: Array, use: np.ndarray) -> Array:
-    """Standard deviation per channel ``(c,)`` of values ``(N, c)`` over the samples that count ``(N, c)``."""
+    """Standard deviation per channel ``(c,)`` of values ``(N, c)`` over the used samples ``(N, c)``."""
     return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
 
 
 def noise_floor(values: Array, share: float = 1.0) -> Array:
-    """Noise of measured channels ``(N, c)``, evenly spaced in time, in as large a share of their band as is looked at.
+    """Noise of evenly sampled channels ``(N, c)`` from the upper part of their spectrum.
 
-    Effects follow the motion and are slow against the band's end; so the floor of the spectrum over the band's upper
-    part, where only noise is left, times the whole band. Noise whose spectrum falls is underestimated by that.
+    Effects follow the motion and are slow, so the upper part of the band has only noise; its level is multiplied by the
+    whole band. Noise with a falling spectrum is underestimated.
     """
     length = min(len(values), 256)
     f, power = signal.welch(values, nperseg=length, axis=0)
@@ -168,13 +167,11 @@ def noise_floor(values: Array, share: float = 1.0) -> Array:
 
 
 def noise_left(residual: Array, use: np.ndarray) -> tuple[Array, Array]:
-    """What a residual ``(N, c)`` holds of white noise, and what changes in it from each sample to the next ``(c,)``.
+    """White noise in a residual ``(N, c)``, and its usual change from sample to sample ``(c,)``.
 
-    Both from third differences, in which no motion is left, over stretches that count ``(N, c)``. Their mean square is
-    never more than noise, and for a residual that is nothing else all of it. The median of their sizes kicks do not
-    raise: encoder steps and jitter that a controller hands on, oscillations at the end of the band, which depend on
-    nothing that the motion does. Above the band the controller damps them, so that the spectrum there does not show
-    them. Where too few samples count, infinite and zero.
+    Both are from third differences of used samples ``(N, c)``, which remove the motion. The first is from their mean
+    square. The second is from their median size, which outliers do not raise: it contains encoder steps, jitter and
+    oscillations at the end of the band, which do not depend on the motion. With too few samples, infinite and zero.
     """
     third, whole = np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]
     enough = whole.sum(axis=0) >= FEWEST
@@ -183,7 +180,7 @@ def noise_left(residual: Array, use: np.ndarray) -> tuple[Array, Array]:
 
 
 def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> dict[str, str]:
-    """Columns of a checked recording that measure something but took no part, with the reason.
+    """Columns of a checked recording that measure something but were not used, with the reason.
 
     The regressions are those of all domains that were searched, that of the motor torques first.
     """

@@ -1,1 +1,1 @@
-"""The motion that a diagnosis asks for: what it left open, and what would tell."""
+"""Plans the motion that resolves the open questions of a diagnosis."""

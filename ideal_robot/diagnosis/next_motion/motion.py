@@ -1,4 +1,4 @@
-"""The motion of a plan: Fourier motions one after the other, chosen out of many for what they tell together."""
+"""The motion of a plan: a sequence of Fourier motions with the best joint separation of causes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ideal_robot.signals.recording import Recording
 
 @dataclass(frozen=True)
 class Kind:
-    """What a part of the motion is like.
+    """Properties of a part of the motion.
 
     Attributes:
         period: of its Fourier series [s].
@@ -44,7 +44,7 @@ class Kind:
 
     @property
     def seconds(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the part [s]."""
         return self.period * self.repeats
 
 
@@ -66,14 +66,14 @@ class _Part:
 
 
 class MotionSearch:
-    """Chooses Fourier motions that together are worth most.
+    """Chooses a sequence of Fourier motions with the largest joint value.
 
     Args:
         robot, workspace: the arm with its limits, and where tool and links may go.
         start: posture at rest before ``(n,)`` [rad].
-        longest: the motion may take [s].
-        rng: draws the parts.
-        told: what commands ``(N, n)`` [rad] tell by themselves.
+        longest: longest duration of the motion [s].
+        rng: random generator of the parts.
+        told: computes the information of commands ``(N, n)`` [rad].
     """
 
     def __init__(self, robot: Robot, start: Array, workspace: Workspace, longest: float, rng: np.random.Generator,
@@ -81,15 +81,15 @@ class MotionSearch:
         self.robot, self.start, self.longest, self.rng, self.told = robot, start, longest, rng, told
         self.spaces = {kind: MotionSpace(robot, kind.period, kind.harmonics, workspace, kind.speed, kind.acceleration,
                                          0.9) for kind in KINDS if kind.seconds < longest}
-        # As long as the filters of a diagnosis remember.
+        # As long as the memory of the diagnosis's filters.
         self.rest = max(1, round(MEMORY / CUTOFF / robot.t_ipo))
 
     def best(self, worth: Callable[[Sequence[Any]], float], enough: float, progress: Progress) -> Array:
-        """Commands ``(N, n)`` [rad] every interpolation cycle, from rest to rest: no more parts than are needed.
+        """Commands ``(N, n)`` [rad] every interpolation cycle, from rest to rest, with as few parts as needed.
 
         Args:
-            worth: of what several parts tell together.
-            enough: worth from which on no more parts are added.
+            worth: value of the joint information of several parts.
+            enough: value at which no more parts are added.
             progress: called with the share done and a word.
 
         Raises:
@@ -115,7 +115,7 @@ class MotionSearch:
         if not chosen:
             raise InputError("no motion within the limits, the workspace and the time was found; relax the workspace "
                              "or allow more time", field="length", value=self.longest)
-        # Of the chosen parts as many changes as motions were drawn.
+        # As many changes of the chosen parts are tried as motions were drawn.
         for k in range(len(kinds) if value < enough else 0):
             progress(0.6 + 0.4 * k / len(kinds), "refining")
             i = int(self.rng.integers(len(chosen)))
@@ -141,7 +141,7 @@ class MotionSearch:
         return len(self._commands(parts)) * self.robot.t_ipo <= self.longest
 
     def _drawn(self, kind: Kind) -> _Part | None:
-        # Half of them near where the arm is, so that little time is lost on the way.
+        # Half of them near the arm's place, to save time on the way.
         centre = self.start if self.rng.random() < 0.5 else None
         for _ in range(_DRAWN):
             part = self._made(kind, self.rng.uniform(-1, 1, (2, kind.harmonics, self.robot.n)), centre)
@@ -166,18 +166,18 @@ class MotionSearch:
 
 @dataclass(frozen=True)
 class Foresight:
-    """Makes regressions of motions that have not been played.
+    """Makes the regressions of motions before they are run.
 
     Attributes:
-        case: what the diagnosis was asked: arm, known model, units.
-        found: what it knows before any search: the model that predicts, filters, widths.
+        case: arguments of the diagnosis: arm, known model, units.
+        found: its findings before any search: model, filters, widths.
     """
 
     case: Case
     found: Findings
 
     def regression(self, q_c: Array, domain: Domain) -> Regression:
-        """Over commands every interpolation cycle ``(N, n)`` [rad], of the motor torque, an arm angle or the TCP."""
+        """The regression of commands ``(N, n)`` [rad] at the cycles, for the motor torque, an arm angle or the TCP."""
         recording = self._recording(q_c)
         torque = self.case.torque_regression(recording, self.found.start, reversal_width=self.found.reversal_width,
                                              cutoff=self.found.problem.regression.filtered.cutoff)
@@ -192,7 +192,7 @@ class Foresight:
         robot, measured = self.case.robot, self.case.recording
         t = robot.t_ipo * np.arange(float(len(q_c)))
         spline = interpolate.CubicSpline(t, self._moved(q_c), axis=0)
-        # Five samples a period of what the position filter lets through.
+        # Five samples per period of the position filter's cut-off.
         grid = np.arange(0.0, t[-1], min(1.0 / (5.0 * CUTOFF), robot.t_ipo))
         q, qd, qdd = (spline(grid, k) for k in range(3))
         tau = self.found.start.inverse_dynamics(q, qd, qdd, t=grid) * self._units

@@ -1,4 +1,4 @@
-"""The motion that a diagnosis asks for: it distinguishes causes that the recording could not."""
+"""Plans the motion that distinguishes causes which the recording could not."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _NOTHING = "no motion within the limits and this time distinguishes them"
 
 @dataclass(frozen=True)
 class PlannedPair:
-    """One pair of causes, or a joint without one, and how well recording and planned motion decide it.
+    """One pair of causes, or a joint without one, and how well recording and planned motion distinguish it.
 
     Attributes:
         cause, rival: in words; the rival is empty for a joint that is to be decided.
@@ -69,13 +69,14 @@ class PlannedPair:
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisPlan(Summarised):
-    """A motion that decides what a diagnosis left open, and how well it does.
+    """A motion that resolves the open questions of a diagnosis, with the expected separation.
 
     Attributes:
-        pairs: what was asked.
-        commands: ``(N, n)`` [rad] every ``t_ipo``, from rest to rest; empty where no motion helps or nothing is open.
+        pairs: the open questions.
+        commands: ``(N, n)`` [rad] every ``t_ipo``, from rest to rest; empty where no motion helps or no question is
+            open.
         t_ipo: interpolation cycle [s].
-        not_asked: what is open, but cannot be answered by a motion of the joints, with the reason.
+        not_asked: open questions that a motion of the joints cannot answer, with the reason.
         still_undecided: joints that move too little even then.
     """
 
@@ -102,7 +103,7 @@ class DiagnosisPlan(Summarised):
         return len(self.commands) > 0 and any(pair.told_apart for pair in self.pairs)
 
     def path(self) -> Recording:
-        """The motion as a file has it: ``t``, ``q_d_i`` and the same as commands ``q_c_i``.
+        """The motion as a recording: ``t``, ``q_d_i`` and the same as commands ``q_c_i``.
 
         Raises:
             InputError: there is none.
@@ -124,11 +125,11 @@ class DiagnosisPlan(Summarised):
 def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model: Model | None = None,
                    longest: float = LONGEST, workspace: Workspace | None = None, seed: int = 1,
                    progress: Progress = silent) -> DiagnosisPlan:
-    """Plans the motion that best decides what a diagnosis of a recording left open.
+    """Plans the motion that best resolves the open questions of a diagnosis.
 
     Args:
         recording, robot, model: as ``diagnose`` was given them.
-        questions: what the diagnosis found and left open (``open_questions``, ``read_questions``).
+        questions: findings and open questions of the diagnosis (``open_questions``, ``read_questions``).
         longest: the motion may take [s].
         workspace: where tool and links may go; wherever the recording has been is added.
         seed: of the search.
@@ -205,7 +206,7 @@ def _best_motion(pairs: Sequence[Pair], foresight: Foresight, room: Workspace, l
     def worth(several: Sequence[list[Products]]) -> float:
         margins = np.array([pair.separation(reduce(add, own)).margin
                             for pair, own in zip(pairs, zip(*several, strict=True), strict=True)])
-        # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
+        # Pairs that no motion distinguishes must not dominate; margins above one add little.
         return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, CLEAR)))
 
     search = MotionSearch(robot, start, room, longest, np.random.default_rng(seed),

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open: causes that it could not distinguish, and joints that it could not decide."""
+"""Open questions of a diagnosis: causes that it did not distinguish, and joints with too little motion."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Named:
     Attributes:
         name: of the effect.
         joint: from 1; 0 for the whole arm.
-        prefix: of the channel it was found in.
-        rivals: names of what the data could not tell from it; with the joint where that is another one.
+        prefix: prefix of its channel.
+        rivals: names of causes that the data do not distinguish from it, with the joint where it differs.
     """
 
     name: str
@@ -45,13 +45,13 @@ class Named:
 
     @property
     def effects(self) -> list[Effect]:
-        """Those of the library that it may be."""
+        """Effects of the library with this name."""
         return [e for e in library() if e.name == self.name and e.channel_prefix == self.prefix]
 
 
 @dataclass(frozen=True)
 class Open:
-    """What a diagnosis found and left open.
+    """The findings and open questions of a diagnosis.
 
     Attributes:
         found: the causes it names, in its order.
@@ -63,19 +63,19 @@ class Open:
 
     @property
     def asks(self) -> bool:
-        """Whether anything is open."""
+        """Whether there is an open question."""
         return bool(self.undecided) or any(named.rivals for named in self.found)
 
 
 def open_questions(diagnosis: Diagnosis) -> Open:
-    """What a diagnosis found and left open."""
+    """The findings and open questions of a diagnosis."""
     causes = tuple(Named(effect.fitted.name, effect.fitted.joint, prefix_of(effect.fitted.channel),
                          tuple(map(_rival, effect.indistinguishable_from))) for effect in diagnosis.effects)
     return Open(causes, tuple(sorted(diagnosis.undecided)))
 
 
 def read_questions(values: Any, n: int, file: Any = None) -> Open:
-    """What the JSON of ``diagnose`` says was found and left open.
+    """The findings and open questions from the JSON of ``diagnose``.
 
     Args:
         values, n: its content, and joints of the arm.
@@ -124,7 +124,7 @@ def _rival(text: str) -> tuple[str, int | None]:
 
 
 class Causes:
-    """Fits what a diagnosis names to the recording of one domain.
+    """Fits a diagnosis's causes to the recording of one domain.
 
     Args:
         problem: the regression of the domain.
@@ -134,7 +134,7 @@ class Causes:
         self.problem, self.best = problem, BestSet(problem, [], absorbed=True)
 
     def pairs(self, questions: Open) -> tuple[list[Pair], list[str]]:
-        """The pairs of this domain that are open, and what could not be asked."""
+        """The open pairs of this domain, and questions that could not be posed."""
         domain = self.problem.regression.domain
         pairs, silent, chosen = list[Pair](), list[str](), list[tuple[Named, Candidate]]()
         for named in questions.found:
@@ -184,7 +184,7 @@ class Causes:
 
 
 def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Pair]:
-    """Questions that a next motion may answer of joints that moved too little: has a joint a cause, or none?
+    """Questions about joints that moved too little: does the joint have a cause, or none?
 
     Each pair is one cause of the library, as large as the noise, and nothing in its place.
 
@@ -194,7 +194,7 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
     """
     regression = problem.regression
     level = np.maximum(regression.noise_floor, 1e-3 * np.std(regression.measured, axis=0) + 1e-9)
-    # The joint as it will move, so that what depends on range and speed begins somewhere.
+    # The joint as it will move, so that effects that depend on range and speed have start values.
     turn = np.linspace(0.0, 20.0 * np.pi, len(regression.signals.t))[:, None]
     half = np.minimum(0.25 * (robot.q_max - robot.q_min), 1.0)
     signals = replace(regression.signals, q=half * np.sin(turn), qd=0.5 * finite_limits(robot)[0] * np.cos(turn))
@@ -203,7 +203,7 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
     for joint, effect in product(joints, effects):
         starts = effect.starts(signals, joint) if joint in effect.joints(signals) else ()
         if not starts:
-            continue  # of a partner axis where there is no other joint
+            continue  # an effect with a partner axis, but there is no other joint
         theta = starts[len(starts) // 2]
         cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
         pairs.append(Pair(cause, None, (), 1.0 / level**2, 1.0, None))
@@ -216,7 +216,7 @@ def _thetas_of(candidate: Candidate, regression: Regression) -> tuple[tuple[floa
     if not theta or effect.scanned:
         return (theta,)
     bounds = effect.bounds(regression.signals, candidate.joint)
-    # Without bounds theta is a choice, such as that of a partner axis, and not a number.
+    # Without bounds theta is a choice, such as that of a partner axis, not a number.
     near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
     inside = [trial for trial in near if all(low <= v <= high for v, (low, high) in zip(trial, bounds, strict=True))]
     return tuple(dict.fromkeys([theta, *inside, *effect.starts(regression.signals, candidate.joint)]))

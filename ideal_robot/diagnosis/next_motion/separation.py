@@ -1,12 +1,12 @@
-"""How well a motion distinguishes two causes, before it is played: T-optimality (Atkinson & Fedorov 1975).
+"""Predicts how well a motion distinguishes two causes: T-optimality (Atkinson & Fedorov 1975).
 
-If cause a is the true one it adds ``y = C_a(theta_a) c_a`` to the channels. What of it neither the parameters of the
-model nor the rival can make, whatever the rival's numbers, is what a recording can tell the two by:
+If cause a is the true one it adds ``y = C_a(theta_a) c_a`` to the channels. The part of it that neither the model's
+parameters nor the rival can imitate, whatever the rival's numbers, distinguishes the two:
 
     d² = min over theta_b of  y' (I - A (A'A + P)⁺ A') y ,    A = [W, C_b(theta_b)] ,
 
-rows weighted with 1/σ of their channel; ``P`` is what is known of the parameters. The difference of the two fits'
-squares is then ``d²`` with a standard deviation of ``2 d`` (times the colour of the noise): Box & Hill (1967).
+rows weighted with 1/σ of their channel; ``P`` is the prior precision of the parameters. The difference of the two fits'
+squares is then ``d²`` with a standard deviation of ``2 d`` (times the factor for coloured noise): Box & Hill (1967).
 
 All of it follows from cross-products of columns, and those of two motions, one after the other, add up.
 """
@@ -35,7 +35,7 @@ VISIBLE_SHARE = (4.0 * CLASS_ERROR) ** 2
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause with its numbers.
+    """A cause with its fitted numbers.
 
     Attributes:
         candidate: effect, joint and theta.
@@ -56,11 +56,12 @@ class Cause:
 
 @dataclass(frozen=True)
 class Separation:
-    """How well a motion distinguishes a pair, in the less favourable of the two cases of which is true.
+    """How well a motion distinguishes a pair, in the less favourable of the two cases.
 
     Attributes:
         sigma: expected distance of the two in standard deviations of the noise.
-        own_share: share of the cause that its rival cannot imitate; what imitates more than ``NEARLY`` stays a rival.
+        own_share: share of the cause that its rival cannot imitate; a rival that imitates more than ``NEARLY`` is never
+            excluded.
         seen_share: share of the residual's squares that the cause makes up.
     """
 
@@ -70,7 +71,7 @@ class Separation:
 
     @property
     def told_apart(self) -> bool:
-        """Whether a recording should distinguish them: the difference of the fits' squares scatters by ``2 sigma``."""
+        """Whether a recording should distinguish them; the difference of squares has the deviation ``2 sigma``."""
         return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NEARLY
 
     @property
@@ -81,11 +82,11 @@ class Separation:
 
 @dataclass(frozen=True)
 class Products:
-    """Cross-products of a pair's columns over a motion; they add up.
+    """Cross-products of a pair's columns over a motion, which add up over motions.
 
     Attributes:
-        sides: for each case of which is true: ``y'y`` per channel ``(c,)``, the matrix of ``[W, others, y]``, and for
-            each theta of the rival that of ``[A, y]``.
+        sides: for each of the two cases: ``y'y`` per channel ``(c,)``, the matrix of ``[W, others, y]``, and for each
+            theta of the rival that of ``[A, y]``.
         samples: samples of each channel ``(c,)``.
     """
 
@@ -99,13 +100,13 @@ class Products:
 
 @dataclass(frozen=True)
 class Pair:
-    """A cause and its rival, which a motion is to distinguish; without a rival, a cause and nothing at all.
+    """A cause and its rival that a motion shall distinguish; without a rival, a cause and no cause.
 
     Attributes:
         cause, rival: the two.
         others: further causes, whose numbers are free.
         weights: 1/σ² of each channel ``(c,)``.
-        colour: how many samples count for one, as the noise is coloured.
+        colour: number of samples worth one independent sample, as the noise is coloured.
         root: matrix ``R (p, k)``, the covariance of the model's parameters being ``R R'``, or None.
         domain: in which they show.
     """
@@ -119,7 +120,7 @@ class Pair:
     domain: Domain = MOTOR_TORQUE
 
     def products(self, made: Regression) -> Products:
-        """Cross-products over the motion of a regression, of which measured values are not looked at."""
+        """Cross-products over the motion of a regression, without its measured values."""
         scale = np.sqrt(self.weights) * made.use
 
         def rows(candidate: Candidate, theta: tuple[float, ...]) -> Array:
@@ -149,10 +150,10 @@ class Pair:
             whole, strongest = max(float(energy.sum()), 1e-300), int(np.argmax(energy))
             count = max(float(products.samples[strongest]), 1.0)
             if self.rival is None:
-                # As large as the noise, whatever its unit.
+                # With the amplitude of the noise, whatever its unit.
                 results.append((float(np.sqrt(rest / whole * count / self.colour)), 1.0, 1.0))
                 continue
-            # The channel that shows most of it: what it adds there beside noise of one.
+            # The channel with the largest contribution, relative to noise of one.
             own, part = min(beside), rest * float(energy[strongest]) / whole
             results.append((float(np.sqrt(own / self.colour)), own / max(rest, 1e-300), part / (part + count)))
         return Separation(*map(min, zip(*results, strict=True)))

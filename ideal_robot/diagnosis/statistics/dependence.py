@@ -1,8 +1,8 @@
-"""What a residual depends on: splines over each signal, against a null distribution from the residual itself.
+"""Tests on which signals a residual depends: splines, with a null distribution from the residual itself.
 
-Under the null hypothesis the sign of the residual in a block of time has nothing to do with the signal. Flipping the
-signs of whole blocks at random leaves all correlation within blocks as it is; mean and variance of the squares that are
-explained follow from the blocks; also where the motion repeats itself, where shifting in time would fail.
+Under the null hypothesis the sign of the residual in a block of time is independent of the signal. Random sign changes
+of whole blocks preserve all correlation within blocks; mean and variance of the squares that are explained follow from
+the blocks; also where the motion repeats itself, where shifting in time would fail.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
 
 
 class DependenceTest:
-    """Tests many curves on residuals at the same samples; what follows from the samples alone is computed once.
+    """Tests many curves on residuals at the same samples, with shared precomputation.
 
     Args:
         signals, blocks: at the samples, and of time.
-        use: samples of each channel that count ``(N, c)``.
+        use: samples of each channel that are used ``(N, c)``.
     """
 
     def __init__(self, signals: Signals, use: np.ndarray, blocks: Blocks) -> None:
@@ -98,7 +98,8 @@ class DependenceTest:
             channel, of: its index, and the curves.
         """
         use = self.use[:, channel]
-        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
+        # Relative to the mean, as every model has a constant; also the columns, as a residual with flipped blocks has a
+        # mean.
         r = np.where(use, residual - (residual[use].mean() if use.any() else 0.0), 0.0)
         weights = self._both_ways(r, channel)
         return [self._test(weights, channel, term) for term in of]
@@ -117,8 +118,8 @@ class DependenceTest:
         parts = (self._sums(weights[term.directed], term) - weights[2] * centre) @ T
         total = max(float(np.vdot(weights[0], weights[0])), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
-        # With signs s_b of the blocks it would be |sum_b s_b p_b|²; of its distribution a gamma of the same mean and
-        # variance stands for the tail.
+        # With signs s_b of the blocks it would be |sum_b s_b p_b|²; a gamma distribution of the same mean and variance
+        # approximates its tail.
         alone = (parts**2).sum(axis=1)
         mean = float(alone.sum())
         variance = max(2.0 * float(np.sum((parts.T @ parts) ** 2) - np.sum(alone**2)), 1e-9 * mean**2 + 1e-300)
@@ -161,7 +162,7 @@ def time_period(residual: Array, use: np.ndarray, t: Array, domain: Domain) -> U
 
     Args:
         residual: of a channel ``(N,)``, in its unit.
-        use: samples that count ``(N,)``.
+        use: samples that are used ``(N,)``.
         t: times ``(N,)`` [s], evenly spaced.
         domain: of the channel.
     """
@@ -197,15 +198,15 @@ def _knots(signals: Signals, name: str, intervals: int) -> tuple[float, ...]:
     return knots
 
 
-# How sharply dry friction changes sign at a reversal: a nuisance that no effect may be built on.
+# How sharply dry friction changes sign at a reversal: a nuisance parameter on which no effect may depend.
 #
-# Filters, sampling and bearings round the step of the sign; where the model has a hard one, each reversal leaves a
-# spike that looks like Stribeck or presliding. The width is fitted for each joint, up to twice the speed at
+# Filters, sampling and bearings smooth the step of the sign; with a hard step in the model each reversal causes a spike
+# of the residual that resembles Stribeck or presliding. The width is fitted for each joint, up to twice the speed at
 # which it rests.
 
 
 def reversal_widths(problem: Problem, model: Model) -> Array:
-    """Speeds over which the sign changes ``(n,)``: those that explain most, else what the position's noise asks for.
+    """Speeds over which friction changes sign ``(n,)``: those with the best fit, or else the position noise's.
 
     The problem's regression is about the model whose friction changes sign.
     """
@@ -216,7 +217,7 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
         widest = 2.0 * RESTING * signals.top_speed(j + 1)
         if j + 1 in problem.regression.undecided or law.presliding or not widest > reversal_width[j]:
             continue
-        # Halved down to what the noise of the position asks for; the best is refined.
+        # Halved down to the width of the position's noise; the best one is refined.
         speeds = widest * 0.5 ** np.arange(np.ceil(np.log2(widest / reversal_width[j])))
         misfit = partial(_remaining, problem, system, law, j, place)
         remaining = [misfit(speed) for speed in speeds]

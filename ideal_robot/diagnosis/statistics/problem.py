@@ -1,7 +1,7 @@
-"""The problem of a diagnosis and its solution.
+"""The estimation problem of a diagnosis and its solution.
 
-A problem is a regression and what is known of its parameters beforehand; a solution is the numbers of a joint fit, and
-effects with their numbers.
+A problem is a regression with a prior of its parameters; a solution is the numbers of a joint fit, and effects with
+their numbers.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ two to three per cent more than their noise explains."""
 
 @dataclass(frozen=True)
 class Estimate:
-    """Numbers of a joint fit.
+    """Coefficients and parameters of a joint fit.
 
     Attributes:
         effects: that were fitted, with their theta.
@@ -52,15 +52,15 @@ class Estimate:
     theta_std: tuple[Array, ...]
 
     def of_model(self, count: int) -> Estimate:
-        """The estimate of the first ``count`` parameters, those of the model; others differ by the day."""
+        """The estimate of the first ``count`` parameters, those of the model, without daily changes."""
         return replace(self, change=self.change[:count], covariance=self.covariance[:count, :count])
 
     def residual(self, regression: Regression) -> Array:
-        """What a regression leaves with these numbers ``(N, c)``."""
+        """Residual of a regression with this estimate ``(N, c)``."""
         return np.asarray(regression.y - regression.W @ self.change - sum(self.contributions(regression)))
 
     def contributions(self, regression: Regression) -> list[Array]:
-        """What each effect adds at the rows of a regression ``(N, c)``."""
+        """Contribution of each effect at the rows of a regression ``(N, c)``."""
         return [regression.columns_of(c.effect, c.joint, c.theta) @ own
                 for c, own in zip(self.effects, self.coefficients, strict=True)]
 
@@ -76,7 +76,7 @@ class Estimate:
         own, std, theta, theta_std = (tuple(map(float, values)) for values in (
             self.coefficients[k], self.std[k], candidate.theta, self.theta_std[k]))
         parameters = effect.parameters(self.coefficients[k], self.std[k], theta, theta_std)
-        # Geometry and curves are in units of their own, all else in those of its joint.
+        # Geometry and curves have units of their own, all else those of its joint.
         of_joint = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
         if of_joint and prismatic[candidate.joint - 1]:
             parameters = [replace(p, unit=sliding_unit(p.unit)) for p in parameters]
@@ -84,7 +84,7 @@ class Estimate:
                             effect.to_data(), tuple(parameters), evidence or {})
 
     def all_fitted(self, prismatic: Sequence[bool]) -> tuple[FittedEffect, ...]:
-        """See ``fitted``. All effects, in their order."""
+        """All effects with their numbers, in their order, ready for a model file; see ``fitted``."""
         return tuple(self.fitted(k, prismatic) for k in range(len(self.effects)))
 
 
@@ -100,7 +100,7 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
     places, new = friction_places(model.base, model.friction), []
     start = places[-1].stop
     for law, place in zip(model.friction.laws, places, strict=True):
-        # Shapes are positive; a linear step may go to a third or to three times of what they were.
+        # Shapes are positive; a linear step is limited to a factor of three.
         shape = np.clip(law.shape + change[start : start + len(law.shape), None], law.shape / 3.0, 3.0 * law.shape)
         new.append(type(law)(law.coefficients + change[place, None], shape, presliding=law.presliding,
                              loaded=law.loaded))
@@ -112,11 +112,11 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
 
 
 def with_possible_inertias(model: Model, near: Array) -> Model:
-    """The model with inertias that bodies can have, nearest to its base parameters.
+    """The model with physically possible inertias, nearest to its base parameters.
 
-    A fit of all parameters leaves what the data hardly tell anywhere within its uncertainty, also where no body could
-    have it; such an arm cannot be simulated. Predicted torques do not change, they come from the base parameters. What
-    cannot be seen keeps near to the possible full parameters ``near (p,)``.
+    Poorly determined parameters of a fit may be physically impossible, so that the arm cannot be simulated. Predicted
+    torques do not change, as they use the base parameters. Undetermined parameters stay near to the possible full
+    parameters ``near (p,)``.
 
     Raises:
         IdealRobotError: there are none near.
@@ -128,13 +128,13 @@ def with_possible_inertias(model: Model, near: Array) -> Model:
 
 @dataclass(frozen=True)
 class Problem:
-    """What every fit, score and report of a domain starts from.
+    """The data that every fit, score and report of a domain share.
 
     Attributes:
-        regression: what was measured, what is expected, what may change.
-        root: matrix ``R (P, k)``, the covariance of the model's parameters about zero being ``R R'`` beforehand; None
-            where they are free.
-        recent: columns of candidates that were asked for last.
+        regression: measured values, expected values, and what may change.
+        root: matrix ``R (P, k)``, the prior covariance of the model's parameters about zero being ``R R'``; None where
+            they are free.
+        recent: cached columns of the last candidates.
     """
 
     regression: Regression
@@ -146,7 +146,7 @@ class Problem:
         return self if regression is self.regression else replace(self, regression=regression, recent={})
 
     def with_root(self, root: Array | None) -> Problem:
-        """The same problem with other knowledge of its parameters."""
+        """The same problem with another prior of its parameters."""
         return replace(self, root=root)
 
     @cached_property
@@ -155,7 +155,7 @@ class Problem:
         return self.regression.blocks()
 
     def prepared(self, columns: Array) -> Columns:
-        """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
+        """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; zero channels are skipped."""
         live, rows = decimated_columns(columns, self.regression.filtered.factor)
         live, rows = live.reshape(columns.shape[1:]), rows[:, self.regression.filtered.keep]
         channels = np.flatnonzero(live.any(axis=1))
@@ -164,7 +164,7 @@ class Problem:
         return Columns(values * self.regression.use[:, channels, None], tuple(int(j) for j in channels))
 
     def columns(self, candidate: Candidate) -> Columns:
-        """A candidate's columns at the rows of the regression; each round asks for many of the round before."""
+        """A candidate's columns at the rows of the regression, cached from round to round."""
         key = candidate.key
         self.recent[key] = self.recent.pop(key) if key in self.recent else self._columns(candidate)
         if len(self.recent) > 256:
@@ -174,7 +174,7 @@ class Problem:
     def _columns(self, candidate: Candidate) -> Columns:
         signals, effect = self.regression.signals, candidate.effect
         columns, m = effect.columns(signals, candidate.joint, candidate.theta), len(effect.coefficient_names)
-        # Of some causes a recording shows the first coefficients only; a curve has as many as it has knots.
+        # A recording may determine only the first coefficients of some causes; a curve has as many as knots.
         if np.ndim(columns) != 3 or len(columns) != len(signals.t) or (columns.shape[2] > m and not effect.learned):
             raise InputError(f"columns of {type(effect).__name__} have to be ({len(signals.t)}, c, {m}): samples, "
                              "channels, coefficients; Signals.on_joint makes them", field="effects",
@@ -186,7 +186,7 @@ class Problem:
         return group
 
     def system(self, effects: Sequence[Candidate] = ()) -> System:
-        """The whitened rows, with the noise that the model's parameters and these effects leave."""
+        """The whitened rows, with the noise of the residual of the model's parameters and these effects."""
         r = self.regression
         system = System(r.y, r.W, r.use, self.root)
         keys = ["W", *[c.key for c in effects]]
@@ -209,13 +209,13 @@ class Problem:
 
     def numbers(self, system: System, effects: Sequence[Candidate], uncertainty: bool = True,
                 inflate: bool = False, more: dict[str, Array] | None = None) -> Estimate:
-        """Numbers of effects in a system whose noise is known, fitted together with the model's parameters.
+        """Coefficients of effects in a system of known noise, fitted together with the model's parameters.
 
         Args:
             system, effects: rows in units of their noise, with the effects' columns.
             uncertainty: whether standard deviations are wanted; theta's derivative columns then join the fit.
             inflate: whether a residual that is larger than its noise widens them.
-            more: precisions of effects' coefficients beforehand ``(m, m)`` by their groups.
+            more: precisions prior precisions of effects' coefficients ``(m, m)`` by their groups.
         """
         keys = ["W", *[c.key for c in effects]]
         fitted, places, p = system.posterior(keys, more), system.places(keys), self.regression.W.shape[2]
@@ -229,10 +229,10 @@ class Problem:
         free = max(rows - len(whole.mean), 1.0)
         covariance = whole.covariance * (max(whole.squares / free, 1.0) if inflate else rows / free)
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        # No form is right to better.
+        # No model form is more accurate than this.
         std = [np.hypot(sigma[places[c.key]], FORM_ERROR * np.abs(values))
                for c, values in zip(effects, own, strict=True)]
-        # What repeats is right to its noise: periods are counted.
+        # Periodic effects are accurate to their noise, as their periods can be counted.
         theta_std = [np.array([np.hypot(sigma[where[key].start], FORM_ERROR * abs(value) * (not c.effect.scanned))
                                if key else 0.0 for key, value in zip(keys_of, c.theta, strict=True)])
                      for c, keys_of in zip(effects, moved, strict=True)]

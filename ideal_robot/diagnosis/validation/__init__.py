@@ -1,1 +1,1 @@
-"""What carries over to other data, and the results."""
+"""Transfer of a diagnosis to other data, and its results."""

@@ -1,4 +1,4 @@
-"""Effects by their names, fitted beside a model whose parameters are fixed."""
+"""Fits named effects beside a model whose parameters are fixed."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def _held(regression: Regression) -> Problem:
 
 def with_named_effects(recording: Recording, robot: Robot, model: Model,
                        effects: tuple[tuple[str, int], ...]) -> Model:
-    """The model with the named effects, each kind of measurement's together, beside the model as it is.
+    """The model with the named effects added, fitted for each kind of measurement; its parameters are fixed.
 
     An effect that shows in measured arm angles or at the measured tool is estimated there, else in the torque. The
-    model's parameters are held: they are right but for what is named, and what one recording tells badly of them would
-    bend another motion.
+    model's parameters are fixed: they are assumed right, and a poor estimate of them from one recording would harm the
+    prediction of other motions.
 
     Args:
         recording, robot, model: as for ``diagnose``.

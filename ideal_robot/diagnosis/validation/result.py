@@ -1,4 +1,4 @@
-"""What a diagnosis found, as plain values; plots are made elsewhere."""
+"""The result of a diagnosis, as plain values; plots are made elsewhere."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class MovedParameter:
 
     @property
     def text(self) -> str:
-        """The dependence in a few words."""
+        """The change of the parameter in a few words."""
         return f"{self.name} from {self.value:.3g} to {self.refitted:.3g} {self.unit} ({self.sigmas:+.1f} σ)"
 
 
@@ -47,13 +47,13 @@ class ChannelResult:
     Attributes:
         channel, unit: e.g. ``tau_1``, ``N m``.
         rms_before: of the model as it was given or, without one, of the baseline identified from the same recording.
-        rms_refit, rms_after: with its parameters fitted to this recording, and with what was added.
+        rms_refit, rms_after: with the model's parameters fitted to this recording, and with the added effects.
         noise_floor: level of the measurement's own noise in the same band.
-        rms_signal, spread: rms and standard deviation of what was measured; the latter is not known everywhere.
-        counted: share of all samples that counted, 0 to 1: in motion, apart from reversals, rests and ends.
-        usual: what changes from sample to sample of the error all the time, as noise.
-        judged: whether all that may cause its error was looked at; not the arm's geometry where an axis of the tool's
-            place is missing.
+        rms_signal, spread: rms and standard deviation of the measurement; the latter may be unknown.
+        counted: share of all samples that were used, 0 to 1: in motion, away from reversals, rests and ends.
+        usual: usual change of the error from sample to sample, as noise.
+        judged: whether all possible causes of its error were tried; the arm's geometry is not, where an axis of the
+            tool's position is missing.
     """
 
     channel: str
@@ -70,7 +70,7 @@ class ChannelResult:
 
     @property
     def times_noise(self) -> float:
-        """Error over the noise of the measurement, and of what else is never still; NaN where no noise is known."""
+        """Error over the noise of the measurement and its usual changes; NaN where no noise is known."""
         noise = max(self.noise_floor, self.usual)
         return self.rms_after / noise if noise > 0.0 else float("nan")
 
@@ -81,12 +81,12 @@ class ChannelResult:
 
     @property
     def loud(self) -> bool:
-        """Whether the error is still several times the noise of the measurement, and of what else is never still."""
+        """Whether the error is several times the noise of the measurement and its usual changes."""
         return self.noise_floor > 0.0 and self.times_noise > CLEAR
 
     @property
     def unexplained(self) -> bool:
-        """Whether it is loud and, of a torque, a part of it that matters."""
+        """Whether the error is loud and, for a torque, a relevant part of it."""
         whole = self.spread if np.isfinite(self.spread) else self.rms_signal
         return self.loud and self.judged and (not self.channel.startswith("tau") or self.rms_after > _MATTERS * whole)
 
@@ -111,8 +111,8 @@ class FoundEffect:
             there.
         nats, nats_std: by which the best set is better than the one without it, and the standard error of that.
         probability: of it, against everything that was weighed in its place.
-        indistinguishable_from, would_tell: effects that these data do not reject in its place, and the motion that
-            would tell.
+        indistinguishable_from, would_tell: effects that these data do not reject in its place, and a motion that would
+            distinguish them.
         transfers: whether it also lowers the error on the validation recording; None without one.
         depends_on: for a learned term, the signals it is a curve of.
         taken: its place in the best set.
@@ -142,7 +142,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Structure:
-    """A dependence of a channel's residual on signals: the share of squares it explains, and what chance would."""
+    """A dependence of a channel's residual on signals: the explained share of squares, and that by chance."""
 
     channel: str
     depends_on: tuple[str, ...]
@@ -176,10 +176,10 @@ eight causes with less four were there on recordings of other engines, of 144 wi
 
 @dataclass(frozen=True)
 class WeighedSet:
-    """One set of causes: the best one with something else, or nothing, in the place of a cause.
+    """One alternative to the best set: another cause, or none, in the place of one of its causes.
 
     Attributes:
-        name, joint: of what stands there; no name where nothing does.
+        name, joint: name and joint of the other cause; no name for none.
         nats: by which the set is worse than the best one, priors and all.
         std: standard error of that, over blocks of time.
         learned: whether it is a curve without a physical cause.
@@ -193,22 +193,22 @@ class WeighedSet:
 
     @property
     def moderated(self) -> float:
-        """Nats by which it is worse, averaged over their standard error: MacKay's moderated output (1992)."""
+        """Its loss in score [nats], moderated by the standard error: MacKay's moderated output (1992)."""
         return float(self.nats / np.sqrt(1.0 + np.pi / 8.0 * self.std**2)) if np.isfinite(self.std) else 0.0
 
     @property
     def rejected(self) -> bool:
-        """Whether the data reject it beside the best one."""
+        """Whether the data reject it against the best set."""
         return self.moderated > NOT_REJECTED
 
     @property
     def words(self) -> str:
-        """What stands there, with its joint."""
+        """The other cause with its joint, in words."""
         return f"{self.name} of joint {self.joint}" if self.joint else self.name or "nothing"
 
     @property
     def amount(self) -> str:
-        """The difference, to what its standard error allows."""
+        """The loss in score, rounded to its standard error."""
         digits = 0 if self.std >= 1.0 else 1
         return f"{abs(self.nats):.{digits}f} ± {self.std:.{digits}f} nats {'worse' if self.nats >= 0.0 else 'better'}"
 
@@ -219,7 +219,7 @@ class WeighedSet:
 
 
 def probability(sets: Sequence[WeighedSet], name: str) -> float:
-    """Probability of a cause against the other sets, of which one with the same name speaks for it.
+    """Probability of a cause against the other sets; a set with the same name supports it.
 
     The odds are those of the score, averaged over its standard error.
 
@@ -275,7 +275,7 @@ class Argument:
 
     @property
     def not_distinguished(self) -> tuple[str, ...]:
-        """Names of other causes that the data do not reject in its place, with the joint where it is another one."""
+        """Names of other causes that the data do not reject in its place, with the joint where it differs."""
         names = [s.name if s.joint == self.joint else s.words for s in self.rivals
                  if not (s.learned or s.rejected) and (s.name, s.joint) != (self.name, self.joint)]
         return tuple(dict.fromkeys(names))
@@ -303,23 +303,23 @@ class Argument:
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Summarised):
-    """What a diagnosis found in a recording: causes, what they explain, and what remains.
+    """The result of a diagnosis: causes, their contributions, and the residual.
 
     Attributes:
-        verdict: ``effects``, ``none``, ``unknown`` where something remains that matters and has no name, or
-            ``undecided`` where the recording moves too little.
+        verdict: ``effects``, ``none``, ``unknown`` where a relevant residual has no known cause, or ``undecided`` where
+            the recording moves too little.
         channels: errors before and after.
         effects: effects of the library, the best set of them.
         unknown: learned terms.
-        held_out: how the reported data were kept apart, and how many seconds they are.
-        undecided: joints of which the motion tells little, and why.
-        before, remaining: dependences of the residual at the start and of what is left, strongest first.
+        held_out: kind and duration of the held-out data.
+        undecided: joints with too little motion, and why.
+        before, remaining: dependences of the residual at the start and at the end, strongest first.
         warnings: for people.
         model: the extended model.
         traces: names of channels and their series for plots, of each domain.
         unused: columns that measure something but took no part, with the reason.
-        taken_for: what a given model's parameters were taken for: those of the same arm, or of another of its type;
-            empty without one.
+        taken_for: hypothesis about a given model's parameters: of the same arm, or of another of its type; empty
+            without a model.
         moved: parameters of a given model that are others in this recording, the largest first.
         arguments: why each cause is in the best set.
     """
@@ -343,11 +343,11 @@ class Diagnosis(Summarised):
 
     @property
     def unexplained(self) -> tuple[ChannelResult, ...]:
-        """Channels in which something remains that matters."""
+        """Channels with a relevant unexplained residual."""
         return tuple(c for c in self.channels if c.unexplained)
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was found, and the errors before and after."""
+        """Causes, and errors before and after, as rows of label and value."""
         effects = [f"{effect.fitted.name} in {effect.fitted.channel}" for effect in self.effects]
         learned = [f"a dependence of {f.fitted.channel} on {' and '.join(f.depends_on)}" for f in self.unknown]
         named = ", ".join([*effects, *learned][:8]) or "nothing to add"
@@ -370,7 +370,7 @@ class Diagnosis(Summarised):
         return over_time(first.t, panels, self.summary()[0][1])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON: the keys that were promised, and a few more."""
+        """Plain values for JSON: the documented keys, and a few more."""
         return plain({
             "verdict": self.verdict,
             "channels": [c.to_dict() for c in self.channels],
