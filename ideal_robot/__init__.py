@@ -89,8 +89,8 @@ def __getattr__(name: str) -> Any:
 
         return version("ideal-robot")
     if name in _OF_SCENES:
-        raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}: it is for scene files, and stands "
-                             f"beside this package (from scenes import {name})")
+        raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}: it is for scene files, "
+                             f"in the package scenes (from scenes import {name})")
     if name not in _PLACES:
         from ideal_robot.errors import did_you_mean
 

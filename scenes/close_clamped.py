@@ -128,8 +128,8 @@ class _Clamp(Subject[Play]):
                 without.append(shift)
                 with_it.append(shift - torque / fit.stiffness)
         if not without:
-            raise InputError("no gear is loaded by two clamped recordings, so nothing decides whether its stiffness is "
-                             "right; clamp in more configurations", file=self._scene.source, field="clamp",
+            raise InputError("no gear is loaded by two clamped recordings, so its stiffness cannot be "
+                             "checked; clamp in more configurations", file=self._scene.source, field="clamp",
                              value=len(self.recordings))
         return [(np.concatenate(without), np.concatenate(with_it))]
 

@@ -79,7 +79,7 @@ class SceneMethod:
         """
         feedforward = self.feedforward(setting)
         if setting.n_d is not None and feedforward.n_d > setting.n_d and not feedforward.extends:
-            raise InputError(f"the scene knows {setting.n_d} desired positions ahead, {self.key} wants more",
+            raise InputError(f"the scene knows {setting.n_d} desired positions ahead, {self.key} needs more",
                              field="n_d", value=feedforward.n_d)
         return feedforward
 

@@ -83,7 +83,7 @@ class SweepFile(Kept):
                 self.answers[key_of(entry["job"])] = _checked(entry["answer"])
                 self.lines[key_of(entry["job"])] = dict(entry)
             except (InputError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-                raise InputError(f"line {number} is none of a sweep; remove it, and its run is played again",
+                raise InputError(f"line {number} is not of a sweep; remove it, and its run is done again",
                                  file=self.path, field="--lines") from error
         if len(whole) < len(raw):
             os.truncate(self.path, len(whole))

@@ -60,7 +60,7 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     """
     result = effects_of_world(scene, n)
     if not result:
-        raise InputError("the scene's world holds nothing that the model does not know; set one of "
+        raise InputError("the scene's world has no effect that the model does not have; set one of "
                          f"{', '.join((*EFFECTS_OF_KEY, *OF_CONTROLLERS))}", file=scene.source, field="world")
     return result
 

@@ -103,7 +103,7 @@ class Ros2Camera:
         message, arrived = taken
         image = self._decoded(message)
         if image is not None and image.shape != (self.height, self.width):
-            raise SensingError("the camera changed its picture's size on the way")
+            raise SensingError("the camera changed its picture size during the run; start again")
         stamp = seconds(message.header.stamp)
         if image is None or not self.clock.add(stamp, arrived):
             self.refused += 1

@@ -96,7 +96,7 @@ class Reader:
         while len(self._waiting) >= HEADER.size:
             magic, version, kind, size, stamp = HEADER.unpack_from(self._waiting)
             if magic != MAGIC or version != VERSION:
-                raise StreamError("what arrives is no stream of version 1 (see docs/follow.md)")
+                raise StreamError("the received data are not a stream of version 1 (see docs/follow.md)")
             if size > LARGEST:
                 raise StreamError(f"a package of {size} bytes, at most {LARGEST} are taken")
             if len(self._waiting) < HEADER.size + size:

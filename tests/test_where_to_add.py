@@ -167,7 +167,7 @@ from ideal_robot.feedforward.registry import methods
 from ideal_robot.friction import law_of
 
 for asked, says in ((lambda: law_of("square"), "key of Drag is 'drag'"),
-                    (library, "LacksDrag is 'drag/tau'; give it the name that it is registered by"),
+                    (library, "LacksDrag is 'drag/tau'"),
                     (methods, "another method has that name already.*ideal = house.law:Drag"),
                     (methods, "another method has that name already"),
                     (lambda: law_of("none"), "cannot be imported .*no attribute 'Gone'.*none = house"),

@@ -96,5 +96,5 @@ class Findings:
     def best_set(self) -> BestSet:
         """The finished search for the causes of the motor torque."""
         if self.best is None:
-            raise RuntimeError("the causes of the motor torque were not looked for yet")
+            raise RuntimeError("the causes of the motor torque have not been searched yet")
         return self.best

@@ -76,9 +76,9 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     try:
         whiten = np.linalg.inv(np.linalg.cholesky(correlation + 1e-9 * np.eye(len(std)))) / floor
     except np.linalg.LinAlgError:
-        raise IdealRobotError("the identified parameters have no usable standard deviations, so that no physically "
-                              "possible inertias can be near them; check masses, lengths and inertias of the robot "
-                              "description for numbers that cannot be") from None
+        raise IdealRobotError("the identified parameters have no usable standard deviations, so the nearest "
+                              "physically possible inertias cannot be computed; check masses, lengths and inertias of "
+                              "the robot description for impossible numbers") from None
     # Unknowns are the full parameters in units of their scales.
     spread = scale.copy()
     if rotors is not None:

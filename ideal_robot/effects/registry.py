@@ -113,7 +113,7 @@ def _effect(key: str) -> Effect:
         entry = EFFECTS.get(key)
         effect = entry.seen_in(key.partition("/")[2]) if isinstance(entry, type) else entry
         if effect.key != key:
-            raise InputError(f"{type(effect).__name__} is {effect.key!r}; give it the name that it is registered by",
+            raise InputError(f"{type(effect).__name__} is {effect.key!r}; register it by that name",
                              field="effects", value=key)
         _made[key] = effect
     return _made[key]

@@ -94,7 +94,7 @@ class EgmRobot(LinkedRobot):
         message = self._next(deadline)
         while (reason := self._stopped(message)) is not None:
             if deadline.left < self.t_ipo:
-                raise EgmError(f"the arm cannot be led: {reason}")
+                raise EgmError(f"the arm cannot be commanded: {reason}")
             # Until then the answers repeat the present position, so that the controller does not time out.
             self._number = message.header.seqno
             self._answer(self._joints(message.feedBack))
@@ -171,7 +171,7 @@ class EgmRobot(LinkedRobot):
         try:
             self._socket.sendto(sensor.SerializeToString(), self._peer)
         except OSError as error:
-            raise EgmError(f"the system does not send to {self._peer[0]} ({error})") from error
+            raise EgmError(f"the system cannot send to {self._peer[0]} ({error})") from error
 
     def _next(self, deadline: Deadline) -> Any:
         """The newest message of the controller; raises EgmError for silence."""
@@ -186,7 +186,7 @@ class EgmRobot(LinkedRobot):
         try:
             read_waiting(self._socket, deadline, self._taken)
         except OSError as error:
-            raise EgmError(f"the system does not let the port be read any more ({error})") from error
+            raise EgmError(f"the system does not permit reading the port any more ({error})") from error
         return self._newest
 
     def _taken(self, packet: bytes, sender: Any) -> bool:

@@ -260,7 +260,7 @@ def distinct(t: Array, q: Array, file: str | None, column: str
     steps = np.diff(t)
     if (steps < 0.0).any():
         k = int(np.argmax(steps < 0.0))
-        raise InputError(f"times have to rise: sample {k + 2} is at {t[k + 1]:.9g} s, the one before it at "
+        raise InputError(f"times have to increase: sample {k + 2} is at {t[k + 1]:.9g} s, the one before it at "
                          f"{t[k]:.9g} s", file=file, field="t", value=float(t[k + 1]))
     twice = np.flatnonzero(steps == 0.0)
     for k in twice.tolist():

@@ -270,7 +270,7 @@ class _Player:
     def result(self, meta: dict[str, Any], failure: str | None, error: IdealRobotError | None) -> PlayResult:
         """What was played; the state at the end of a cycle is the one at which the next command is handed over."""
         if not self.measured:
-            raise InputError(f"nothing was played: {failure}", field="q_d") from error
+            raise InputError(f"the path was not executed: {failure}", field="q_d") from error
         n, T = len(self.q_c[0]), self.driver.t_ipo
         rows = slice(1, None) if len(self.q_c) > 1 else slice(0, None)
         count = len(self.q_c[rows])

@@ -131,7 +131,7 @@ class FciMotion:
         """The state of an arm before its motion; raises FciError where it cannot be read."""
         state = self._asked(self._franka.read_once)
         if state.robot_mode.name in _MODES:
-            raise FciError(f"the arm cannot be led: {_MODES[state.robot_mode.name]}")
+            raise FciError(f"the arm cannot be commanded: {_MODES[state.robot_mode.name]}")
         if state.current_errors:
             raise FciError(f"the arm has stopped: {said(str(state.current_errors))}; recover it in Desk")
         return self._noted(state)

@@ -119,7 +119,7 @@ class FciRobot(LinkedRobot):
         Raises FciError where the controller has stopped the arm, or was not heard for too long.
         """
         if self._arm is None or not self._begun:
-            raise FciError("hand over a command first")
+            raise FciError("send a command before waiting for its state")
         *older, report = self._arm.reports()
         self.arrived = time.perf_counter()
         since, self._cycle = report.cycle - self._cycle, report.cycle

@@ -323,7 +323,7 @@ def law_of(key: str) -> type[FrictionModel]:
         raise InputError(f"no such friction law; there are {', '.join(LAWS.names())}", field="friction", value=key)
     law = LAWS.get(key)
     if law.key != key:
-        raise InputError(f"the key of {law.__name__} is {law.key!r}; give it the one that it is registered by",
+        raise InputError(f"the key of {law.__name__} is {law.key!r}; register it by that key",
                          field="friction", value=key)
     return law
 

@@ -133,7 +133,7 @@ def _gains(stretches: Sequence[_Stretch], without_integrator: Sequence[_Stretch]
 
 def _require_signals(recordings: Sequence[Recording], without_integrator: Sequence[Recording]) -> None:
     if not recordings:
-        raise InputError("no recording given", field="recordings")
+        raise InputError("no recording was given", field="recordings")
     for j in range(recordings[0].n):
         if max(np.ptp(recording.joints("q")[:, j]) for recording in recordings) < 1e-2:
             raise InputError("the joint hardly moves; its controller cannot be identified", file=recordings[0].source,

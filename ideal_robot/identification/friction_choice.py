@@ -312,7 +312,8 @@ def fit_warm_up(law: type[FrictionModel], qd: Array, tau: Array, temperature: Ar
         raise InputError("a law without shape parameters is needed (viscous_coulomb, cube_root, asymmetric)",
                          field="law", value=law.key)
     if np.ptp(temperature) < 1.0:
-        raise InputError("the gear hardly warms up in these data", field="temperature",
+        raise InputError("the gear's temperature hardly changes in these data; record from cold to warm",
+                         field="temperature",
                          value=float(np.ptp(temperature)))
     columns = law(np.ones((len(law.coefficient_names), 1))).regressor(np.asarray(qd, dtype=float)[:, None])[:, 0]
     reference = float(np.max(temperature))

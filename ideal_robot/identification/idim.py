@@ -123,7 +123,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
         InputError: recordings that cannot be used, and why.
     """
     if not recordings:
-        raise InputError("no recording given", field="recordings")
+        raise InputError("no recording was given", field="recordings")
     require_distinct([*recordings, *validation])
     usable, warnings = checked(recordings, robot, commands=True)
     require_motion(usable)

@@ -497,7 +497,7 @@ def _unsaid_of_controllers(model: Model) -> Iterator[str]:
         if np.any(model.controller.k_i > 0.0):
             yield "the integrators of the velocity loops"
         if words := beside_cascade(model.controller):
-            yield f"what drives do by themselves: {words}"
+            yield f"functions of the drives themselves: {words}"
         if np.any(model.controller.filter_time > 0.0) or model.controller.delay > 0.0:
             yield "the commands' low-pass and dead time"
     if command is None:

@@ -84,7 +84,7 @@ def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Ar
     if fast.any():
         j = int(np.argmax(fast))
         raise LimitError(j + 1, f"commanded velocity [{robot.units('rad/s')[j]}]", speed[j], 2.0 * robot.v_max[j],
-                         "hand over a path that starts where the arm is and keeps the velocity limits")
+                         "give a path that starts where the arm is and keeps the velocity limits")
     return q
 
 
@@ -548,7 +548,7 @@ class LinkedRobot(ABC):
         command.
         """
         if not np.isfinite(self.commanded).all():
-            raise self.lost_link("connect to the controller before a command is handed over")
+            raise self.lost_link("connect to the controller before sending a command")
         if not self._led:
             self._require_unmoved()
         q_c = self._led_back(self._want(q_c), self._wire_speed)

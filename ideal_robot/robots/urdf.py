@@ -67,7 +67,7 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
             raise InputError(f"a speed limit below {SLOWEST:g} rad/s or m/s; 0 stands for none", file=file,
                              field=model.names[j], value=float(model.velocityLimit[k]))
         if not model.lowerPositionLimit[k] <= model.upperPositionLimit[k]:
-            raise InputError("the lower limit lies above the upper one, with those of the joints that follow it",
+            raise InputError("the lower limit lies above the upper one, with those of the joints coupled to it",
                              file=file, field=model.names[j])
     return model
 
@@ -139,7 +139,7 @@ def _check_element(element: ET.Element, file: str | Path | None) -> None:
     # A property that is defined but not used changes nothing.
     used = next((name for name, value in element.attrib.items() if "${" in value), None)
     if (command is not None and command != "property") or (command is None and used is not None):
-        raise InputError("holds xacro commands, which are not carried out; write the URDF by `xacro FILE`", file=file,
+        raise InputError("holds xacro commands, which are not executed; write the URDF by `xacro FILE`", file=file,
                          field=(command or f"{element.tag}.{used}")[:40])
     if element.tag == "mass" and "value" not in element.attrib:
         raise InputError("expected a number of kg, or no inertial at all", file=file, field="mass.value")
@@ -174,7 +174,8 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
                              value=written[:40])
         limit = math.inf if element.tag == "limit" else _LARGEST
         if any(math.isnan(number) or abs(number) > limit for number in numbers):
-            raise InputError("a number that no arm has", file=file, field=f"{element.tag}.{key}", value=written[:40])
+            raise InputError("an impossible number for an arm", file=file, field=f"{element.tag}.{key}",
+                             value=written[:40])
 
 
 def _built(text: str, file: str | Path | None) -> pin.Model:
@@ -270,7 +271,7 @@ class DriveData(_Table):
                                  value=entry.by)
             matrix[entry.joint - 1, entry.by - 1] += entry.share
         if abs(np.linalg.det(matrix)) < 1e-6:
-            raise InputError("the controller's angles do not say the joints': check the shares", file=file,
+            raise InputError("the controller's angles do not determine the joints': check the shares", file=file,
                              field="coupled")
         return matrix
 

@@ -108,7 +108,7 @@ class Node:
             self._listened.append((self.ros.create_subscription(kind, topic, taken, quality), taken))
             self._waits = rclpy_implementation.WaitSet(len(self._listened), 0, 0, 0, 0, 0, self._context.handle)
         except Exception as error:  # the library's own exception for a topic of another type
-            raise Ros2Error(f"{topic} cannot be listened to as {kind.__name__}: {' '.join(str(error).split())}"
+            raise Ros2Error(f"{topic} cannot be subscribed to as {kind.__name__}: {' '.join(str(error).split())}"
                             ) from error
 
     def publisher(self, kind: Any, topic: str) -> Any:
@@ -133,7 +133,7 @@ class Node:
         """
         self._until(lambda: self.ros.count_publishers(topic) > 0, deadline)
         if self.ros.count_publishers(topic) == 0:
-            raise Ros2Error(f"nobody publishes {topic}; {self._instead(kind)} ({self.domain})")
+            raise Ros2Error(f"no node publishes {topic}; {self._instead(kind)} ({self.domain})")
         for info in self.ros.get_publishers_info_by_topic(topic):
             if info.topic_type != kind:
                 raise Ros2Error(f"{topic} is of {info.topic_type}, {kind} is expected; {self._instead(kind)}")
@@ -151,10 +151,11 @@ class Node:
         self._until(lambda: time.perf_counter() - begun > _DISCOVERED, Deadline.within(2 * _DISCOVERED))
         listeners = self.ros.get_subscriptions_info_by_topic(topic)
         if not listeners:
-            raise Ros2Error(f"nobody listens to {topic}: is that controller active? {self._instead(kind)} "
+            raise Ros2Error(f"no node subscribes to {topic}: is that controller active? {self._instead(kind)} "
                             f"({self.domain})")
         if (others := self.others(topic)):
-            raise Ros2Error(f"{', '.join(others)} publishes on {topic}, too; the arm would be torn between two: end it")
+            raise Ros2Error(f"{', '.join(others)} publishes on {topic}, too; two programs would command the arm: "
+                            "end the other one")
         mine = next(info for info in self.ros.get_publishers_info_by_topic(topic)
                     if info.node_name == self.ros.get_name())
         from rclpy.qos import QoSCompatibility, qos_check_compatible

@@ -133,8 +133,8 @@ class PoseCorrections:
 
     def __init__(self, robot: Robot, axes: Axes) -> None:
         if robot.n != len(self.names):
-            raise InputError("corrections of the pose lead six axes; correct the axes, by AXISCORR in the place of "
-                             "POSCORR", file=robot.urdf, field="joint", value=robot.n)
+            raise InputError("corrections of the pose need an arm with six axes; correct the axes instead (AXISCORR "
+                             "in place of POSCORR)", file=robot.urdf, field="joint", value=robot.n)
         table = robot.data.get("rsi", {})
         reference = table.get("reference", "base")
         if reference not in ("base", "tool"):
@@ -178,7 +178,8 @@ class PoseCorrections:
                 return q
             J = self._tool.inverse().action @ pin.computeFrameJacobian(self._model, self._data, q, self._frame)
             q = q + np.linalg.solve(J, error)
-        raise RsiError("where the controller has the tool has no posture near the one commanded last")
+        raise RsiError("the tool pose of the controller has no joint solution near the last command; check base, tool "
+                       "and robot data")
 
     def between(self, before: Array, after: Array) -> Array:
         """The increment ``(m,)`` from one whole correction to another; see ``Corrections``."""

@@ -311,7 +311,7 @@ class PacketLink:
         except (TimeoutError, BlockingIOError):
             raise
         except OSError as error:
-            raise RsiError(f"the system does not let the port be read any more ({error})") from error
+            raise RsiError(f"the system does not permit reading the port any more ({error})") from error
         if (sender != self._peer) if self._peer is not None else (self._controller not in (None, sender[0])):
             self._stranger(packet, sender)
             return None

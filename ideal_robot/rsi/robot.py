@@ -203,7 +203,7 @@ class RsiRobot(LinkedRobot):
     def send(self, q_c: Array) -> None:
         """First half of ``cycle``: sends the answer and leaves time for computing; RsiError before ``connect``."""
         if self._first is None:
-            raise RsiError("connect to the controller before a command is handed over")
+            raise RsiError("connect to the controller before sending a command")
         q_c = self._want(q_c)
         if self._watch.adds_up:
             self._answer_with(self._slowed())
@@ -301,7 +301,7 @@ class RsiRobot(LinkedRobot):
         self._older = stamp
         if self._back > self.max_lost:
             raise RsiError(f"the controller's time stamps begin anew (IPOC {stamp} after {self._last.ipoc}): RSI was "
-                           "started again; follow from the beginning")
+                           "started again; start the run again")
 
     def _advance(self, message: RobMessage, since: int) -> RobotState:
         newest, waited = self._link.newest(message, self.stamps)

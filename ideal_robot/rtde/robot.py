@@ -158,7 +158,7 @@ class RtdeRobot(LinkedRobot):
             # Half of the patience, so that a stall of this computer is not attributed to the controller.
             if deadline.left < 0.5 * self._timeout:
                 raise RtdeError(f"the controller's time stamps do not go on ({data['timestamp'][0]:.3f} s after "
-                                f"{self._last:.3f} s); its clock was set anew: begin anew, from rest")
+                                f"{self._last:.3f} s); its clock was reset: start again, from rest")
         self._bridged(since)
         self._last += since * self.t_ipo
         state = int(data["runtime_state"][0])
@@ -198,7 +198,7 @@ class RtdeRobot(LinkedRobot):
     def _next(self, deadline: Deadline) -> Values:
         """The newest data package, if the arm is not stopped and all numbers are numbers."""
         if self._connection is None:
-            raise RtdeError("connect to the controller before a command is handed over")
+            raise RtdeError("connect to the controller before sending a command")
         data, self.arrived = self._connection.newest(self._outputs, deadline)
         bits = int(data["safety_status_bits"][0])
         stopped = [name for bit, name in _SAFETY.items() if bits >> bit & 1]
@@ -206,7 +206,7 @@ class RtdeRobot(LinkedRobot):
             raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
                             + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
         if not all(abs(value) < _LARGEST for values in data.values() for value in values):
-            raise RtdeError("the controller reports times, positions or currents that cannot be")
+            raise RtdeError("the controller reports impossible times, positions or currents")
         return data
 
     def _since(self, data: Values) -> int:

@@ -207,7 +207,7 @@ class RtdeConnection:
         try:
             self._socket.sendall(data)
         except OSError as error:
-            raise RtdeError(f"the controller is gone ({error})" + self._last_text()) from error
+            raise RtdeError(f"the connection to the controller is lost ({error})" + self._last_text()) from error
 
     def newest(self, recipe: Recipe, deadline: Deadline) -> tuple[Values, float]:
         """The newest data package, waiting for one if needed, and the time of its reading.
@@ -265,7 +265,7 @@ class RtdeConnection:
         while not deadline.passed:
             if (received := self._next(deadline.left)) is not None:
                 return received
-        raise RtdeError(f"nothing that was waited for from the controller within {deadline.seconds:.3g} s"
+        raise RtdeError(f"no expected answer from the controller within {deadline.seconds:.3g} s"
                         + self._last_text())
 
     def _waiting(self) -> tuple[int, bytes] | None:
@@ -281,7 +281,7 @@ class RtdeConnection:
             except (BlockingIOError, TimeoutError):
                 return None
             except OSError as error:
-                raise RtdeError(f"the controller is gone ({error})" + self._last_text()) from error
+                raise RtdeError(f"the connection to the controller is lost ({error})" + self._last_text()) from error
             if not piece:
                 raise RtdeError("the controller has closed the connection" + self._last_text())
             self._reader.feed(piece)

@@ -158,7 +158,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
     for name in (*positions, *torques):
         largest = float(np.max(np.abs(recording.columns[name]), initial=0.0))
         if largest > _LARGEST:
-            raise InputError("values that no arm has; check the column's unit, or leave the column out",
+            raise InputError("values that are impossible for an arm; check the column's unit, or leave the column out",
                              file=recording.source, field=name, value=f"{largest:.3g}")
     for name, most in zip(torques, () if tau_max is None else tau_max, strict=False):
         usual = float(np.quantile(np.abs(recording.columns[name]), 0.9, method="lower")) if len(recording.t) else 0.0

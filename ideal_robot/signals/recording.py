@@ -269,7 +269,7 @@ class Recording(Summarised):
                 if "t" not in values or meta.get("reading"):
                     clock = ", and of a table without a clock its rate, t = {rate = 100}" * ("t" not in values)
                     raise InputError(f"a recording needs the column {missing}; columns are "
-                                     f"{listed_titles(titles)}; say which is which with --columns map.toml"
+                                     f"{listed_titles(titles)}; map them with --columns map.toml"
                                      f"{clock} (docs/files.md)", file=path, field=missing.split()[0])
         if joints is not None:
             values, meta = of_joints(values, meta, joints, str(path))

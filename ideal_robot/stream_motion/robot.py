@@ -113,7 +113,8 @@ class StreamMotionRobot(LinkedRobot):
         while not status["status"] & _MOVES:
             self._check(status)
             if deadline.passed:
-                raise StreamMotionError(f"the controller's program {_PROGRAM} does not give motion to the stream")
+                raise StreamMotionError(f"the controller's program {_PROGRAM} does not give motion control to the "
+                                        "stream")
             status = self._next(Deadline.within(self._timeout))
         self._begun = self._number = int(status["sequence_no"])
         stands = self._angles(status)
@@ -158,7 +159,7 @@ class StreamMotionRobot(LinkedRobot):
                 late += 1
         self._check(status)
         if not status["status"] & _MOVES:
-            raise StreamMotionError("the controller has taken motion from the stream" + self._alarm())
+            raise StreamMotionError("the controller has ended motion control by the stream" + self._alarm())
         self._bridged(since, late, self._stood_in)
         self._came()
         self._number, self._answered = int(status["sequence_no"]), False

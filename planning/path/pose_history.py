@@ -24,7 +24,8 @@ _ROWS = 0.05
 def check_cycle(robot: Robot) -> None:
     """Raises ``InputError`` where a cycle is too long to forecast the arm at every exposure in it."""
     if robot.t_ipo > AHEAD:
-        raise InputError(f"a camera is told where to look before the cycle of its field, and the arm is forecast by "
+        raise InputError("a camera gets its search windows before the cycle of its field, and the arm's motion can "
+                         "be predicted over "
                          f"{AHEAD:g} s: expected a cycle of at most that (world.t_ipo, or t_ipo in the arm's TOML)",
                          field="t_ipo", value=robot.t_ipo)
 
@@ -50,7 +51,8 @@ class PoseHistory:
     def add(self, t: float, q: Array) -> None:
         """Adds one sample ``q (n,)`` [rad] valid at ``t`` [s]; samples come in the order of time."""
         if self._t and t <= self._t[-1]:
-            raise PlanningError(f"joint angles at t = {t:.4f} s came after those at t = {self._t[-1]:.4f} s")
+            raise PlanningError(f"samples have to come in the order of time: joint angles at t = {t:.4f} s came after "
+                                f"those at t = {self._t[-1]:.4f} s")
         self._asked.clear()
         self._t.append(t)
         self._q.append(np.array(q, dtype=float))

@@ -117,7 +117,8 @@ def _for_arm(example: str, kind: str, robot: str) -> str:
 
     scene = load_scene("line").changed(robot=robot, model="own")
     if kind != "line" or not isinstance(scene, LineScene):
-        raise InputError("only lines are placed in an arm's reach", field="--robot", value=robot)
+        raise InputError("only scenes of kind line can be placed for an arm; leave --robot out", field="--robot",
+                         value=robot)
     for assumption in scene.arm.assumed:
         typer.echo(f"assumed: {assumption}")
     place = place_line(scene)

@@ -191,10 +191,11 @@ def _show_planned(plan: DiagnosisPlan, out: Path) -> None:
     for reason in plan.not_asked:
         typer.echo(f"not planned: {reason}", err=True)
     for joint in plan.still_undecided:
-        typer.echo(f"joint {joint} moves too little in this motion too; its limits or the workspace keep it", err=True)
+        typer.echo(f"joint {joint} moves too little in this motion too; its limits or the workspace prevent "
+                   "more", err=True)
     if plan.useful:
         typer.echo(f"motion of {plan.seconds:.1f} s: {out}")
     elif plan.pairs:
-        typer.echo("no motion is written: none within the limits distinguishes these")
+        typer.echo("no motion is written: no motion within the limits distinguishes these causes")
     else:
-        typer.echo("nothing is open that a motion of the joints could tell")
+        typer.echo("no question is open that a motion of the joints could answer")

@@ -80,7 +80,7 @@ class RunOptions(PlayedScene):
             raise InputError(f"scenes of kind {scene.kind} have no tolerance", field="--tolerance",
                              value=self.tolerance)
         if self.speed is not None:
-            raise InputError("gives the speed itself: leave --speed away", field="--tolerance", value=self.tolerance)
+            raise InputError("chooses the speed itself: leave --speed out", field="--tolerance", value=self.tolerance)
         return error
 
 
@@ -105,7 +105,7 @@ def run(options: RunOptions) -> None:
     if options.video is not None:
         check_video(options.video)
         if kind.replay is None:
-            raise InputError(f"scenes of kind {loaded.kind} have nothing that moves", field="--video",
+            raise InputError(f"scenes of kind {loaded.kind} have no motion to show", field="--video",
                              value=str(options.video))
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
         quickest = None
@@ -200,7 +200,7 @@ def sweep(options: SweepOptions) -> None:
                 whole_numbers(options.individuals, "--individuals"), options.world)
     check_outputs({"--runs": options.runs}, json=options.json, csv=options.csv, lines=options.lines)
     if options.resume and options.lines is None and options.runs is None:
-        raise InputError("needs --lines FILE or --runs FOLDER, what to go on with", field="--resume")
+        raise InputError("needs --lines FILE or --runs FOLDER, with the runs to be continued", field="--resume")
     if options.lines is not None and options.runs is not None:
         raise InputError("keeps the same answers as --lines; give one of them", field="--runs", value=str(options.runs))
     file: Kept | None = None if options.lines is None else SweepFile(options.lines, resume=options.resume)
@@ -278,7 +278,7 @@ def close_loop(
         show_table(title, list(columns), rows)
     if (plan := result.json().get("plan")) is not None:
         separated = sum(pair["told_apart"] for pair in plan.get("pairs", []))
-        typer.echo(f"asked for in round {plan['round']}: "
+        typer.echo(f"requested in round {plan['round']}: "
                    + (f"a motion of {plan['duration_s']:.0f} s, played, that tells {separated} of "
                       f"{len(plan['pairs'])} pairs" if plan["played"] else str(plan["reason"])))
     for refused in result.refusals():

@@ -158,7 +158,7 @@ def _show_commands(model: Model) -> None:
                [[f["joint"], f["found"], 1e3 * f["of"], 1e3 * f["left"], unit]
                 for f, unit in zip(figures, units, strict=True)])
     if model.controller is not None and (words := beside_cascade(model.controller)):
-        typer.echo(f"what drives do by themselves: {words}")
+        typer.echo(f"functions of the drives themselves: {words}")
     law = model.command
     if law is not None and law.cascade is not None:
         cascade, own = (1e3 * float((values**2).mean() ** 0.5) for values in (law.cascade, law.residual))
@@ -178,8 +178,8 @@ def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: lis
     show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
                [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in clear])
     if len(clear) < len(parameters):
-        typer.echo(f"{len(parameters) - len(clear)} parameters more are within two σ of zero; they stand on the page "
-                   "and in --json")
+        typer.echo(f"{len(parameters) - len(clear)} more parameters are within two σ of zero; the page and --json "
+                   "list them")
     show_table("friction laws", ["joint", "law"],
                [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
     _show_commands(analysis.model)

@@ -89,7 +89,7 @@ def check(options: CheckOptions) -> None:
         _tidied(keep)
     failed = dict.fromkeys(row.case for row in comparison.rows if row.verdict == "failed")
     if options.update_baseline and failed:
-        typer.echo(f"no baseline was written: all runs failed of {'; '.join(failed)}", err=True)
+        typer.echo(f"no baseline was written, as all runs failed of {'; '.join(failed)}", err=True)
     elif options.update_baseline and not comparison.not_played:
         typer.echo(f"baseline: {results.write(place)}")
     elif earlier is None:
@@ -157,7 +157,7 @@ def _baseline(options: CheckOptions, suite: Suite, place: Path) -> Results | Non
     if not place.is_file() and not options.update_baseline and needed:
         raise InputError("no such baseline; --update-baseline makes it, --allow-new plays without", file=place)
     if options.resume and options.runs is None:
-        raise InputError("needs --runs FOLDER, what to go on with", field="--resume")
+        raise InputError("needs --runs FOLDER, with the runs to be continued", field="--resume")
     return read_results(place) if place.is_file() else None
 
 

@@ -251,7 +251,7 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
                       f"{in_words(', '.join(e.indistinguishable_from))}: {e.would_tell}.")
         if e.transfers is False:
             page.warning(f"{e.fitted.name} in {_where(e)} does not lower the error of the validation recording: "
-                         "it may be a habit of the first recording.")
+                         "it may be specific to the first recording.")
 
 
 def _arguments(page: Report, diagnosis: Diagnosis) -> None:

@@ -126,11 +126,12 @@ def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:
     effects = tuple(name for name, differs in wrong.items() if differs)
     keys = keys_of_arm(scene)
     if not effects and keys:
-        raise InputError("sensor and contact are right, and what this does to the force is not looked for here: close "
+        raise InputError("sensor and contact are right, and its influence on the force is not diagnosed here: close "
                          "a path scene with this world, and give its model to this one",
                          file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
     if not effects:
-        raise InputError("sensor and contact are right, or the controller finds out by itself: nothing is there to be "
-                         "found; set sensor.drift, or assumed.elasticity_ratio with elasticity_estimated = false",
+        raise InputError("sensor and contact are right, or the controller estimates their errors by itself: there is "
+                         "nothing to diagnose; set sensor.drift, or assumed.elasticity_ratio with "
+                         "elasticity_estimated = false",
                          file=scene.source, field="sensor.drift")
     return effects

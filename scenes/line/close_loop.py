@@ -285,21 +285,23 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
     if not wrong.by_moving:
         for key in ("lateral_mm", "roll_deg", "principal_px"):
             if getattr(wrong, key):
-                raise InputError("along a line nobody can see it: a camera that is shifted across the line, or rolled, "
-                                 "sees another line; set it to 0, or let the camera be calibrated (by_moving = true)",
+                raise InputError("along a line this error cannot be seen: a camera that is shifted across the line, or "
+                                 "rolled, sees another line; set it to 0, or let the camera be calibrated (by_moving "
+                                 "= true)",
                                  file=scene.source, field=f"calibration.{key}", value=getattr(wrong, key))
     known = {"camera": scene.stamp_estimate, "calibration": wrong.by_moving}
     effects = tuple(effect for effect, (table, *keys) in EFFECTS.items() if not known[table]
                     and any(getattr(getattr(scene, table), key) for key in keys))
     keys = keys_of_arm(scene)
     if not effects and keys and all(key in GEOMETRY for key in keys):
-        raise InputError("along a line nothing of it is left to be found: the camera rides on the arm, and sees the "
-                         "line by the same wrong geometry with which the arm goes there; close a path scene with this "
+        raise InputError("along a line this error cannot be seen: the camera is on the arm, and sees the line by "
+                         "the same wrong geometry by which the arm follows it; close a path scene with this "
                          "world",
                          file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
     if not effects and not keys and not _drives(scene):
-        raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
-                         "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
+        raise InputError("the camera is right, or its follower estimates its errors by itself: there is nothing to "
+                         "diagnose; set camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the "
+                         "sizes in "
                          "[calibration] with by_moving = false, one of the arm's keys in [world], or world = "
                          '"cell"',
                          file=scene.source, field="camera")

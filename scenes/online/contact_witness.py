@@ -130,22 +130,23 @@ class ContactWitness:
         """What is felt is no push, fits no contour, or is not what the motors feel."""
         follower, scene = self._follower, self._scene
         if follower.force < _PULLS:
-            raise EmergencyStopError("force", t, f"the force sensor feels the surface pull with {-follower.force:.1f} "
-                                     "N; check its sign, its axes, and whether its bias has moved")
+            raise EmergencyStopError("force", t, "the force sensor shows that the surface pulls with "
+                                     f"{-follower.force:.1f} N; check its sign, its axes, and whether its bias has "
+                                     "changed")
         if follower.phase in (Phase.SETTLE, Phase.TRAVEL) and self._beyond(
                 "sideways", follower.sideways, max(_TOUCHES, self._most_along(t) * follower.force)):
-            raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt out of the surface and "
-                                     f"{follower.sideways:.1f} N along it, which is no push; look whether the force "
-                                     "sensor is alive, and check its axes")
+            raise EmergencyStopError("force", t, f"{follower.force:.1f} N measured out of the surface and "
+                                     f"{follower.sideways:.1f} N along it, which is not a contact force; check "
+                                     "that the force sensor works, and its axes")
         if isinstance(follower, ContourFollower) and follower.phase is Phase.TRAVEL and self._beyond(
                 "forecast", follower.recedes, _RECEDES * scene.force):
             raise EmergencyStopError("force", t, f"the contour lies deeper than its course until {LATELY:.2f} s ago "
-                                     f"predicts, by what makes {follower.recedes:.1f} N; check that the force sensor "
-                                     "is alive")
+                                     "predicts, by a distance that would change the force by "
+                                     f"{follower.recedes:.1f} N; check that the force sensor works")
         if self._beyond("motors", self._motors.excess, _BY_MOTORS * (most_force(scene.force) - scene.force)):
-            raise EmergencyStopError("force", t, f"the motors feel {self._motors.excess:.0f} N more than the "
-                                     f"{follower.force:.0f} N of the force sensor; look whether it is alive, and "
-                                     "whether its bias has moved")
+            raise EmergencyStopError("force", t, f"the motor torques show {self._motors.excess:.0f} N more than the "
+                                     f"{follower.force:.0f} N of the force sensor; check that it works, and "
+                                     "whether its bias has changed")
 
     def _most_along(self, t: float) -> float:
         """Largest force along the surface at ``t`` [s] as a share of the push; learns the tip's friction."""
@@ -170,9 +171,9 @@ class ContactWitness:
         # The measured tip position, as in the calibration: the command lies deeper by the arm's following error.
         height = float(self._surface.heights(follower.history.pose(t).translation[None])[0])
         if follower.phase is Phase.SETTLE and height > self._ceiling:
-            raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt in the air, {1e3 * height:.1f} mm above "
-                                     "the path's start; look whether the force sensor's bias has leapt")
+            raise EmergencyStopError("force", t, f"{follower.force:.1f} N measured in the air, {1e3 * height:.1f} mm "
+                                     "above the path's start; check whether the force sensor's bias has jumped")
         if follower.phase in (Phase.APPROACH, Phase.SETTLE) and height < self._floor:
             raise EmergencyStopError("force", t, f"the tip is {-1e3 * height:.1f} mm below the path's start, where "
-                                     f"the calibration felt more than is wanted, and {follower.force:.1f} N are felt; "
-                                     "look whether the force sensor is alive")
+                                     "the calibration measured more than the desired force, and "
+                                     f"{follower.force:.1f} N are measured; check that the force sensor works")

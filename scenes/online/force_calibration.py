@@ -465,17 +465,18 @@ class _Press(Pressed):
             raise SceneError(f"pressing was stopped: {wrong_gain(self.gain)}")
         sideways = float(np.linalg.norm(felt - normal * self.up))
         if normal < -_FELT or sideways > max(_FELT, abs(normal)):
-            raise SceneError(f"pressing was stopped: {normal:.1f} N felt along the surface's normal and {sideways:.1f} "
-                             "N across it, which is no push; check the force sensor's sign, axes and bias")
+            raise SceneError(f"pressing was stopped: {normal:.1f} N measured along the surface's normal and "
+                             f"{sideways:.1f} N across it, which is not a contact force; check the force sensor's "
+                             "sign, axes and bias")
         if self.height > self.begins and normal > _FELT:
-            raise SceneError(f"pressing was stopped: {normal:.1f} N felt in the air; look whether the force sensor's "
-                             "bias has leapt, or something stands in the way")
+            raise SceneError(f"pressing was stopped: {normal:.1f} N measured in the air; check whether the force "
+                             "sensor's bias has jumped, or an obstacle is in the way")
         for cycles, least in self._by_motors if heard else ():
             by_motors = self._motors.lately(cycles) if self._evenly > cycles * self._known.robot.t_ipo else np.nan
             if by_motors - normal > np.hypot(least, SURELY * LOSSES * normal):
-                raise SceneError(f"pressing was stopped: the motors feel {by_motors:.0f} N and the force sensor "
-                                 f"{normal:.1f} N; look whether it is alive")
+                raise SceneError(f"pressing was stopped: the motor torques show {by_motors:.0f} N and the force sensor "
+                                 f"{normal:.1f} N; check that the sensor works")
         deepest = self.begins - ContactSettings.reach
         if self.height < deepest and normal < _FELT:
-            raise SceneError(f"pressed {-1e3 * deepest:.0f} mm below where the surface should be and felt none; look "
-                             "whether it is there, or move the surface in the scene")
+            raise SceneError(f"pressed {-1e3 * deepest:.0f} mm below the expected surface without contact; "
+                             "check whether it is there, or move the surface in the scene")

@@ -358,9 +358,9 @@ class Job:
             return
         less = max(most_force(0.0) / worst_force(1.0, gain.ratio, 0.0), 0.0)
         said = gain.shown if self.gains else "not measured"
-        raise SceneError(f"the force sensor's gain is {said}: where it shows the wanted {wanted:.0f} N, the surface "
-                         f"may bear {bears:.0f} N, and {allowed:.0f} N are allowed; tell what hangs on the sensor "
-                         "(--tool-mass), let the controller tell its torques, or press "
+        raise SceneError(f"the force sensor's gain is {said}: where it shows the desired {wanted:.0f} N, the surface "
+                         f"may bear {bears:.0f} N, and {allowed:.0f} N are allowed; give the mass on the sensor "
+                         "(--tool-mass), let the controller report its torques, or press "
                          f"with less (force = {math.floor(less):d})")
 
     def _check_bearable(self, follower: SurfaceFollower, arm: LiveArm, force: LiveForce) -> None:

@@ -105,7 +105,7 @@ class FoundBefore:
     def points(field: Field) -> LineField:
         """The line points of an ``EvaluatedField``."""
         if not isinstance(field, EvaluatedField):
-            raise SensingError("only fields that were evaluated before")
+            raise SensingError("expected a field that was evaluated before")
         return dataclasses.replace(field.seen, t=field.t_stamp)
 
 

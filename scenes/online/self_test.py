@@ -101,6 +101,6 @@ def self_test(arm: LiveArm, cycles: Iterator[float], ahead: bool) -> SelfTest:
     result = SelfTest(count, late, arm.t_ipo, (float(np.median(took)), max(took)) if took else (0.0, 0.0),
                     float(times.std()) if len(times) else 0.0)
     if result.too_slow:
-        raise SceneError(f"this computer does not hold the cycle: {result.text}; {100.0 * LATE:.0f} % may be late. "
+        raise SceneError(f"this computer is too slow for the cycle: {result.text}; {100.0 * LATE:.0f} % may be late. "
                          "Take a longer cycle (--cycle), a computer with less to do, or a core of its own (--core)")
     return result

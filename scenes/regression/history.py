@@ -177,7 +177,7 @@ def _runs(folders: Sequence[Path]) -> pd.DataFrame:
     for folder in folders:
         files = sorted(folder.glob("scene=*/*.parquet"))
         if not files:
-            raise InputError("is no data set of runs; give the folder of check --runs or sweep --runs", file=folder)
+            raise InputError("is not a data set of runs; give the folder of check --runs or sweep --runs", file=folder)
         for path in files:
             try:
                 part = pd.read_parquet(path.absolute())

@@ -195,7 +195,7 @@ def _of_table(path: Path) -> pd.DataFrame:
 
 def _checked(frame: pd.DataFrame, content: dict[str, Any], path: Path) -> Results:
     if frame["scene"].isna().any() or not len(frame):
-        raise InputError("holds something that is no run (no scene); give what run, compare, sweep or check has "
+        raise InputError("has an entry that is not a run (no scene); give what run, compare, sweep or check has "
                          "written", file=path)
     origin = {key: value if isinstance(value := content.get(key), dict) else {} for key in ("program", "machine")}
     return Results(frame, source=str(path), **origin)
@@ -242,7 +242,7 @@ class RunSet(Kept):
             try:
                 part = pyarrow.parquet.ParquetFile(path).read(columns=["job", "answer"])
             except (pyarrow.ArrowException, OSError, ValueError, KeyError) as error:
-                raise InputError("is no part of a sweep; remove it, and its runs are played again", file=path,
+                raise InputError("is not a part of a sweep; remove it, and its runs are done again", file=path,
                                  field="--runs") from error
             answers += [(str(job), parsed_json(str(answer), path, "answer"))
                         for job, answer in zip(*(part[name].to_pylist() for name in ("job", "answer")), strict=True)]

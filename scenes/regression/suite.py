@@ -117,7 +117,7 @@ class Suite:
                 _check_options(job.scene, job, path, number)
                 key = (job.scene.name, *(getattr(job, name) for name in Job.__dataclass_fields__ if name != "scene"))
                 if key in known:
-                    raise InputError(f"asks for a run of {job.scene.name} twice; ask once, by names that differ",
+                    raise InputError(f"has a run of {job.scene.name} twice; list it once",
                                      file=path, field=f"case.{number}")
                 known[key] = job
                 self.work.append((job, bounds))

@@ -86,7 +86,7 @@ def _mp4(replay: Replay, path: Path, rate: float, slow: float, progress: Progres
     # OpenCV does not report a full disk.
     written = cv2.VideoCapture(str(path))
     if int(written.get(cv2.CAP_PROP_FRAME_COUNT)) != count:
-        raise OutputError.of(path, OSError("the film is not whole"), "make room, or give another place")
+        raise OutputError.of(path, OSError("the film is incomplete"), "make room, or give another place")
 
 
 def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator[Picture]:

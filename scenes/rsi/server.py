@@ -175,7 +175,7 @@ def _require_better(law: Feedforward, loop: Loop, q_d: Array, file: Path) -> Non
     wanted = law.arm.from_rest(part, law.t_ipo) if isinstance(law, ForCorrectedArm) else part
     errors = [float(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2))) for q_c in (law.along(part), part)]
     if not errors[0] <= errors[1] + 1e-6:
-        raise InputError("at this cycle the identified loop cannot be inverted; identify the arm at it, or use "
+        raise InputError("the identified loop cannot be inverted at this cycle; identify the arm at it, or use "
                          "--method none", file=file, field="--cycle", value=law.t_ipo)
 
 

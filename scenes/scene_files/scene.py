@@ -356,7 +356,7 @@ def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, ind
             changes["model"] = OWN
     if n_d is not None:
         if "n_d" not in type(scene).model_fields:
-            raise InputError(f"scenes of kind {scene.kind!r} have no horizon to choose", field="--n-d", value=n_d)
+            raise InputError(f"scenes of kind {scene.kind!r} have no horizon setting", field="--n-d", value=n_d)
         if n_d < 1:
             raise InputError("expected a whole number from 1 up", field="--n-d", value=n_d)
         changes["n_d"] = n_d

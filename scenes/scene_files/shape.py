@@ -50,7 +50,7 @@ class _Checked(ast.NodeTransformer):
     def visit_Constant(self, node: ast.Constant) -> Any:
         """A number as a float."""
         if type(node.value) not in (int, float):
-            raise ValueError("only numbers may be written out")
+            raise ValueError("only numbers are permitted as constants")
         return ast.Constant(float(node.value))  # type: ignore[arg-type]
 
     def visit_Name(self, node: ast.Name) -> Any:

@@ -176,8 +176,8 @@ def serve_camera(scene: Scene, places: CameraPlaces, unkind: Unkindness, json: P
             listened on.
     """
     if not isinstance(scene, LineScene):
-        raise InputError("only a scene of kind line can be seen by the camera of an arm elsewhere", field="scene",
-                         value=scene.kind)
+        raise InputError("only scenes of kind line are supported for the camera of another program's arm",
+                         field="scene", value=scene.kind)
     robot = scene.arm if cycle is None else at_cycle(scene.arm, cycle)
     with read_arm(places.arm, robot, places.patience, "--camera-of") as reader:
         cell = set_up(scene)

@@ -159,7 +159,7 @@ class GenICamCamera:
             acquirer.start()
             first = self._fetched(5.0)
             if first is None:
-                raise InputError("the camera is there but sends no picture; is it triggered?", field="camera")
+                raise InputError("the camera is connected but sends no picture; is it triggered?", field="camera")
             self.height, self.width = first[1].shape
             given_back.pop_all()
 
@@ -195,7 +195,7 @@ class GenICamCamera:
             return None
         stamp, image = stamped_image
         if image.shape != (self.height, self.width):
-            raise SensingError("the camera changed its picture's size on the way")
+            raise SensingError("the camera changed its picture size during the run; start again")
         arrived = time.perf_counter()
         if not self.clock.add(stamp, arrived):
             return None

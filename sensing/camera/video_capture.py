@@ -72,7 +72,7 @@ class VideoCapture:
             return None
         gray = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if gray.shape != (self.height, self.width):
-            raise SensingError(f"camera {self._source} changed its picture's size on the way")
+            raise SensingError(f"camera {self._source} changed its picture size during the run; start again")
         self._number += 1
         return Frame(self._number, stamp, arrived, gray)
 

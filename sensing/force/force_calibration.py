@@ -97,12 +97,12 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
     spread = float(np.linalg.norm(weights - weights.mean(axis=0)))
     mass, residual = _weighed(f, weights, noise)
     if abs(mass) < max(CLEARLY * noise / spread, LIGHTEST) and residual <= 1.0:
-        raise SensingError(f"the force sensor feels the tool weigh the same in {len(rotations)} postures (to "
-                           f"{np.ptp(f, axis=0).max():.2g} N): it feels nothing, or nothing hangs on it")
+        raise SensingError(f"the force sensor shows the same weight of the tool in {len(rotations)} postures (to "
+                           f"{np.ptp(f, axis=0).max():.2g} N): it does not work, or has no load")
     if mass > 0 and residual <= 1.0:
         return
     if residual <= 1.0:
-        raise SensingError(f"the force sensor feels a tool of {mass:.3g} kg: its forces have the wrong sign; a wrench "
+        raise SensingError(f"the force sensor shows a tool of {mass:.3g} kg: its forces have the wrong sign; a wrench "
                            "is what the environment does to the tool")
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turned = f[:, order] * np.array(signs)
@@ -113,12 +113,12 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
                                f"({axes}) would; check how it is mounted and the order of its channels")
     drift = _drift(f, weights, t)
     if _weighed(f - np.outer(t - t.mean(), drift), weights, noise)[1] <= 1.0:
-        raise SensingError(f"the force sensor drifts by {np.linalg.norm(drift):.2g} N/s; let it warm up, or look for "
-                           "what pulls at its cable")
+        raise SensingError(f"the force sensor drifts by {np.linalg.norm(drift):.2g} N/s; let it warm up, or check "
+                           "its cable for tension")
     allowed = _allowed(noise, mass)
-    raise SensingError("what the force sensor feels does not turn with the postures as a weight does: "
-                       f"{residual * allowed:.2g} N are left where {allowed:.2g} N may be; it has leapt, or something "
-                       "touches the tool")
+    raise SensingError("the sensed force does not turn with the postures as a weight does: "
+                       f"{residual * allowed:.2g} N remain where {allowed:.2g} N may be; the sensor has jumped, or "
+                       "the tool is in contact")
 
 
 def _allowed(noise: float, mass: float) -> float:
@@ -172,6 +172,7 @@ def identify_elasticity(position: Array, force: Array) -> ContactElasticity:
     rho = f - W @ chi
     covariance = rho @ rho / (len(f) - 2) * np.linalg.inv(W.T @ W)
     if chi[0] <= 0:
-        raise SensingError("force does not rise when the tip is pressed in; check the sensor's sign and the direction")
+        raise SensingError("the force does not rise when the tip is pressed in; check the sensor's sign and the "
+                           "direction")
     touch = float(chi[1] / chi[0])
     return ContactElasticity(float(chi[0]), float(np.sqrt(covariance[0, 0])), touch)

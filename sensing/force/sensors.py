@@ -204,7 +204,7 @@ class NetFT:
     def __init__(self, host: str, port: int = PORT, *, rate: float = 7000.0, counts_force: float = 1e6,
                  counts_torque: float = 1e6, least_delay: float = 0.0) -> None:
         if not 0.0 <= rate < np.inf:
-            raise InputError("expected a positive number, or 0 for a rate that is found", field="force rate",
+            raise InputError("expected a positive number, or 0 to estimate the rate", field="force rate",
                              value=rate)
         for name, value in (("counts_force", counts_force), ("counts_torque", counts_torque)):
             if not value > 0:

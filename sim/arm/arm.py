@@ -254,7 +254,7 @@ class SimulatedArm:
         where = "" if joint is None or q is None else (
             f": joint {joint + 1} is at {q[joint]:.4g}, its limits are {self.robot.q_min[joint]:.4g} and "
             f"{self.robot.q_max[joint]:.4g}")
-        return SimError("the simulation has diverged: the simulated arm has left its posture space at "
+        return SimError("the simulation has diverged: the simulated arm's joint angles are impossible at "
                         f"t = {self.t:.3f} s{where}; the world's numbers make it unstable (check efforts and masses of "
                         "the URDF, stiffness, damping, controller gains and payload)")
 

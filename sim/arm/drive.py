@@ -140,7 +140,7 @@ def top_of(robot: Robot) -> float:
         weight[i] = pin.computeGeneralizedGravity(model, data, q)[1]
     # g(q) = g(0) cos q + g(90°) sin q; upright it is zero and falls.
     if np.hypot(*weight) < 1e-6:
-        raise InputError("gravity does nothing in joint 2, so nothing is balanced", field="world.balancer")
+        raise InputError("gravity has no torque in joint 2, so a balancer has no function", field="world.balancer")
     return math.atan2(weight[0], -weight[1])
 
 

@@ -68,7 +68,7 @@ class RenderedCamera:
         edge_u, edge_v = np.linspace(0, model.width - 1, 9), np.linspace(0, model.height - 1, 9)
         border = np.stack(np.meshgrid(edge_u, edge_v), axis=-1).reshape(-1, 2)
         if not np.isfinite(model.rays(border)).all():
-            raise InputError("this lens folds the picture over within the image; take a weaker distortion",
+            raise InputError("the lens distortion is not invertible within the image; use a weaker distortion",
                              field="camera.distortion", value=tuple(model.distortion))
         self.lamp = lamp
         self._chain = ImageChain(model.width, model.height, settings)

@@ -239,7 +239,7 @@ class Unkindness:
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise InputError("expected a probability from 0 to below 1", field=name, value=getattr(self, name))
         if not (abs(self.drift) <= 1e-3 and self.offset >= 0.0 and 0.0 <= self.late <= 5.0):
-            raise InputError("expected a drift up to 1e-3, an offset and a lateness up to 5 s that are not negative",
+            raise InputError("expected a drift of at most 1e-3, and an offset and a delay from 0 to 5 s",
                              field="drift, offset, late", value=(self.drift, self.offset, self.late))
 
 

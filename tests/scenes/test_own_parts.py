@@ -91,7 +91,7 @@ def test_what_a_method_cannot_be_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         method_of("idael", ("none", "ideal"))
     with pytest.raises(InputError, match="two methods have that name"):
         compared([Ahead(), Ahead(2)], ("none",))
-    with pytest.raises(InputError, match="desired positions ahead, Ahead wants more"):
+    with pytest.raises(InputError, match="desired positions ahead, Ahead needs more"):
         run_scene(short(), method=Ahead(500))
     monkeypatch.setattr(Ahead, "observe", lambda *_: 1 / 0)
     for scene in (short(), load_scene("iso9283_1")):

@@ -191,7 +191,7 @@ def test_a_file_that_is_none_of_a_sweep_is_refused(tmp_path: Path) -> None:
     for text in ("3\n", "{}\n", "[" * 100_000 + "\n", '{"job": 1}\n', "\0\n",
                  *(json.dumps({"job": 1, "answer": good | wrong}) + "\n" for wrong in of_no_table)):
         path.write_text(text)
-        with pytest.raises(InputError, match="none of a sweep"):
+        with pytest.raises(InputError, match="not of a sweep"):
             SweepFile(path, resume=True)
 
 

@@ -133,7 +133,7 @@ def test_warm_up_is_found_again() -> None:
 
 
 def test_warm_up_needs_something_that_warms() -> None:
-    with pytest.raises(InputError, match="hardly warms"):
+    with pytest.raises(InputError, match="hardly changes"):
         fit_warm_up(ViscousCoulomb, np.ones(50), np.ones(50), np.full(50, 30.0))
     with pytest.raises(InputError, match="without shape"):
         fit_warm_up(Arctan, np.ones(50), np.ones(50), np.arange(50.0))

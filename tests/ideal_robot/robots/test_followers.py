@@ -138,7 +138,7 @@ def test_a_follower_s_limits_are_those_of_what_it_follows(tmp_path: Path) -> Non
     narrow = LIFTED.replace('multiplier="0.8"', 'multiplier="4"')
     robot = Robot.load(written(tmp_path, narrow, "narrow"))
     np.testing.assert_allclose([robot.q_min[0], robot.q_max[0], robot.v_max[0]], [0.0, 0.07, 0.5])
-    with pytest.raises(InputError, match="joints that follow it"):
+    with pytest.raises(InputError, match="joints coupled to it"):
         Robot.load(written(tmp_path, LIFTED.replace('offset="0.02"', 'offset="9"'), "none"))
 
 

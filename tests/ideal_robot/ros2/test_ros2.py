@@ -145,13 +145,13 @@ def test_who_falls_silent_lets_the_trajectory_come_to_rest() -> None:
 
 
 @pytest.mark.parametrize(("address", "options", "says"), [
-    ("ros2://other", {}, r"nobody publishes /other/joint_states; topics of .* are /joint_states"),
-    ("ros2://?states=/forward_position_controller/commands", {}, "cannot be listened to as JointState"),
-    ("ros2://?commands=/velocity_controller/commands", {}, "nobody listens to /velocity_controller/commands"),
+    ("ros2://other", {}, r"no node publishes /other/joint_states; topics of .* are /joint_states"),
+    ("ros2://?states=/forward_position_controller/commands", {}, "cannot be subscribed to as JointState"),
+    ("ros2://?commands=/velocity_controller/commands", {}, "no node subscribes to /velocity_controller/commands"),
     ("ros2://?trajectory=/forward_position_controller/commands", {}, "expects std_msgs/msg/Float64MultiArray"),
     ("ros2://", {"durable": True}, "quality of service of simulated_controllers"),
     ("ros2://", {"degrees": True}, "look like degrees"),
-    ("ros2://", {"domain": 101}, "nobody publishes /joint_states; there is no topic")])
+    ("ros2://", {"domain": 101}, "no node publishes /joint_states; there is no topic")])
 def test_what_does_not_match_is_named_before_anything_moves(address: str, options: dict, says: str) -> None:
     with pytest.raises(Ros2Error, match=says), led(address, patience=3.0, **options):
         pass

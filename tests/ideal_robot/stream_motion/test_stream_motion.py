@@ -208,7 +208,7 @@ def taken(controller: Any) -> None:
 
 @pytest.mark.parametrize(("fault", "says"), [
     (trip, "an alarm: .*Stop error excess"), (emergency, "emergency stop"), (touched, "contact stop"),
-    (taken, "taken motion from the stream"), (lambda controller: controller.sm.drop_status(10_000), "silent"),
+    (taken, "ended motion control"), (lambda controller: controller.sm.drop_status(10_000), "silent"),
     (lambda controller: controller.sm.inject_seq_gap(40), "40 packets in a row")])
 def test_a_stop_of_the_controller_is_said(robot: Robot, fault: Callable[[Any], None], says: str) -> None:
     with lockstep(robot, timeout=0.7) as (link, controller), pytest.raises(StreamMotionError, match=says):

@@ -315,7 +315,7 @@ def test_follower_takes_the_latency_from_the_model() -> None:
 
 
 def test_right_time_stamps_are_refused() -> None:
-    with pytest.raises(InputError, match="nothing is there"):
+    with pytest.raises(InputError, match="nothing to diagnose"):
         close_loop(scene_of(LineScene, "line"))
 
 
@@ -360,7 +360,7 @@ def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         right = drawn_line(rng)
-        with pytest.raises(InputError, match="nothing is there"):
+        with pytest.raises(InputError, match="nothing to diagnose"):
             undeclared_effects(right)
         misfit = drawn_error(rng)
         wrong = right.changed(**misfit)
@@ -373,7 +373,7 @@ def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
 
 def test_right_sensor_is_refused_and_a_wrong_one_named() -> None:
     assert undeclared_on_force(scene_of(ForceScene, "close_force")) == ("force_bias", "force_compliance")
-    with pytest.raises(InputError, match="nothing is there"):
+    with pytest.raises(InputError, match="nothing to diagnose"):
         close_force_loop(scene_of(ForceScene, "force_wave"))
 
 

@@ -28,9 +28,9 @@ def other_contact(friction: float, stiffness: float, offset_mm: float) -> Any:
     return scene.model_copy(update={"tip": tip, "surface": surface})
 
 
-QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
-         pytest.param("stuck, with its usual noise", "search", "the motors feel", marks=pytest.mark.slow),
-         pytest.param("a leap of -30 N", "approach", "felt in the air", marks=pytest.mark.slow),
+QUICK = [("nothing but noise of 0.3 mN", "turning", "shows the same weight"), ("wrong sign", "turning", "wrong sign"),
+         pytest.param("stuck, with its usual noise", "search", "the motor torques show", marks=pytest.mark.slow),
+         pytest.param("a leap of -30 N", "approach", "measured in the air", marks=pytest.mark.slow),
          pytest.param("stuck, with its usual noise", "travel", "of what the tip's swing on the surface makes",
                       marks=pytest.mark.slow)]
 

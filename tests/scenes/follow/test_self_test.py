@@ -70,7 +70,7 @@ def test_a_computer_that_is_too_slow_is_refused_where_the_arm_was_held(tmp_path:
     link = Prompt()
     arm = LiveArm(link, Journal(tmp_path, link.robot, {}))
     link._sent = time.perf_counter()
-    with pytest.raises(SceneError, match=r"does not hold the cycle: \d+ of 30 answers late.*--cycle"):
+    with pytest.raises(SceneError, match=r"is too slow for the cycle: \d+ of 30 answers late.*--cycle"):
         self_test(arm, computed(0.02), ahead=False)
     np.testing.assert_array_equal(link.taken, np.tile(link.robot.home, (len(link.taken), 1)))
 

@@ -48,7 +48,7 @@ def test_undeclared_effect_is_named_with_its_joint() -> None:
 
 
 def test_scene_without_an_undeclared_effect_is_refused() -> None:
-    with pytest.raises(InputError, match="nothing that the model does not know"):
+    with pytest.raises(InputError, match="no effect that the model does not have"):
         close_loop(load_scene("iso9283_1"))
 
 

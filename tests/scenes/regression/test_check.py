@@ -160,7 +160,7 @@ def test_results_are_read_in_every_form(tmp_path: Path) -> None:
     ({"runs": [run_of(robot="kr15")]}, "another arm (kr15)"),
     ({"runs": [run_of(seed=2)]}, "shares no pair"),
     ({"runs": [run_of(), run_of()]}, "holds a run twice"),
-    ({"runs": [{"a": 1}]}, "no run"),
+    ({"runs": [{"a": 1}]}, "an entry that is not a run"),
     ({"schema": 99, "runs": []}, "newer version"),
     ([1], "holds no runs"),
 ])
@@ -368,7 +368,7 @@ def test_a_suite_whose_runs_all_fail_fails_and_says_why(program: Any, suite: Pat
         done = program("check", "suite.toml", *words)
         assert done.code == 1
         assert all(text in done.out for text in ("verdict: failed", "line lost"))
-        assert ("no baseline was written: all runs failed of s" in done.err) == bool(words)
+        assert ("no baseline was written, as all runs failed of s" in done.err) == bool(words)
         assert (tmp_path / "suite.baseline.json").read_bytes() == before
         folder = tmp_path / "out" / "check_suite"
         (failure,) = ET.parse(folder / "junit.xml").getroot().findall(".//failure")

@@ -104,7 +104,7 @@ def test_runs_of_no_known_version_and_no_data_set_are_one_line(program: Any, tmp
     (tmp_path / "empty").mkdir()
     done = program("history", "empty")
     assert done.code == 2
-    assert "empty: is no data set of runs" in done.lines[-1]
+    assert "empty: is not a data set of runs" in done.lines[-1]
 
 
 def test_what_was_played_is_kept_as_a_replay_and_costs_no_figure(tmp_path: Path) -> None:

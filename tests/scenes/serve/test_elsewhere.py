@@ -104,7 +104,7 @@ def test_degrees_are_no_radians() -> None:
     ("line", {"camera_of": "rtde://127.0.0.1:1", "wait": 0.2}, "no controller at 127.0.0.1:1"),
     ("line", {"camera_of": "127.0.0.1"}, "expected an address"),
     ("line", {"camera_of": "rtde://127.0.0.1", "serve": True}, "either --serve or --camera-of"),
-    ("force_wave", {"camera_of": "rtde://127.0.0.1"}, "only a scene of kind line"),
+    ("force_wave", {"camera_of": "rtde://127.0.0.1"}, "only scenes of kind line"),
     ("line", {}, "--camera-of ADDRESS"),
 ])
 def test_an_arm_that_cannot_be_read_is_bad_input(scene: str, given: dict[str, Any], says: str) -> None:

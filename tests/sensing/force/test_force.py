@@ -249,7 +249,7 @@ def test_a_weight_that_turns_with_the_postures_is_believed(mass: float) -> None:
 
 
 @pytest.mark.parametrize(("wrenches", "says"), [
-    (weighed(0.0), "weigh the same in 7 postures"), (weighed(0.8, -np.eye(3)), "wrong sign"),
+    (weighed(0.0), "same weight of the tool in 7 postures"), (weighed(0.8, -np.eye(3)), "wrong sign"),
     (weighed(0.8, np.eye(3)[[2, 0, 1]]), r"\(y, z, x\)"), (weighed(0.8, np.diag([1.0, 1.0, -1.0])), r"\(x, y, -z\)"),
     (weighed(0.8, drift=0.2), "drifts by 0.2 N/s"), (weighed(0.8, leap=1.0), "does not turn with the postures")])
 def test_what_is_wrong_with_a_sensor_is_told_by_how_a_weight_turns(wrenches: np.ndarray, says: str) -> None:
