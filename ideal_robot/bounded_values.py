@@ -33,7 +33,7 @@ class Limit(NamedTuple):
         """Raises InputError for a ``count`` above the limit.
 
         Args:
-            count: how many a file holds, or claims to.
+            count: number that a file holds or claims to hold.
             file, remedy: for the message.
         """
         if count > self.most:

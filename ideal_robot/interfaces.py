@@ -62,7 +62,7 @@ class ArmInterface:
         example: an address.
         cycles: interpolation cycles, in words.
         reports: quantities that the controller reports, in words.
-        tried: what it was tested with, in words.
+        tried: devices it was tested with, in words.
         package: of the wire, as it is imported; empty where the wire is ours.
         extra: of ``pip install 'ideal-robot[…]'``; empty where none is needed.
         cycle: the interpolation cycle where there is only one [s]; None where the robot's data or ``--cycle`` say it.

@@ -39,7 +39,7 @@ class OutputError(IdealRobotError):
         Args:
             place: the file or folder, as the user named it.
             error: of the system, or of a library that met one.
-            remedy: what helps; by the kind of error if None.
+            remedy: the remedy that the message names; that of the kind of error if None.
         """
         number = getattr(error, "errno", None) or 0
         reason = os.strerror(number) if number else str(error)

@@ -26,7 +26,7 @@ class Follower(Protocol):
     Attributes:
         robot: the arm.
         n_d: desired positions of a horizon, the current one included.
-        history: where the tool was.
+        history: past poses of the tool.
     """
 
     robot: Robot

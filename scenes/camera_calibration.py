@@ -53,7 +53,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
         camera: the simulated camera.
         deflection: the gears' deflection as the model knows it.
         at: arc length of the reference around which the piece lies [m].
-        before: how pictures showed the line before, and where.
+        before: the line's appearance and places in earlier pictures.
         moved: receives the controller's reports, cycle by cycle.
     """
     robot, reference, believed = known.robot, known.reference, known.camera

@@ -33,7 +33,7 @@ class Located:
     Attributes:
         camera: its intrinsics.
         intrinsic_error: root mean square residual of their calibration [px]; None where they were given.
-        pose: where it is.
+        pose: its pose.
         shown: pictures with the target, by name; ``pose.used`` belongs to these.
         without: pictures in which the target was not found.
     """

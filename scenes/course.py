@@ -22,7 +22,7 @@ class Exercise:
 
     Attributes:
         answer: computes the right answer from the notebook's variables.
-        within: how far from it an answer may be.
+        within: largest difference between an accepted answer and it.
         relative: whether that is a share of the answer.
         hint: said of a wrong one.
         remark: said of a right one.

@@ -36,15 +36,15 @@ class DataSet:
     """One public recording.
 
     Attributes:
-        name: by which it is fetched.
+        name: name by which it is fetched.
         title: description.
-        page: where people find it.
+        page: address of its web page.
         cite: its authors' publication.
         licence: terms of use.
         columns: names of the file's columns, in its order.
         checked: columns that ``values_sha256`` is of.
         format: ``csv`` without titles, or ``mat``.
-        url: where the file is; empty where it has to be downloaded by hand.
+        url: address of the file; empty where it has to be downloaded by hand.
         member: name of the file in the zip that ``url`` is of; empty where it is the file itself.
         doi: of the publication or the data.
         signals: names in a ``mat`` file, in the order of ``columns``.

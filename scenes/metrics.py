@@ -189,7 +189,7 @@ class ControlError:
 
         Args:
             t, s, lateral: as the attributes.
-            counts: which of them are used ``(N,)``.
+            counts: which samples are used ``(N,)``.
         """
         size = np.abs(lateral[counts])
         rows = np.flatnonzero(counts)[:: step(len(size))]

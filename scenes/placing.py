@@ -211,7 +211,7 @@ def scene_text(example: str, robot: str, place: Place) -> str:
 
     Args:
         example, robot: the text, and the URDF as the scene is to name it.
-        place: where the line fits.
+        place: a place where the line fits.
     """
     values: dict[str, Any] = {"robot": robot, "speed": place.speed, "origin": list(place.origin),
                               "heading_deg": place.heading,

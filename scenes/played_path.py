@@ -168,7 +168,7 @@ class PlayedPath:
     Attributes:
         run: the run of the path.
         before: the path without correction, where it was run for comparison.
-        arm: whose errors these are.
+        arm: name of the arm whose errors these are.
     """
 
     run: PathRun

@@ -48,7 +48,7 @@ def recorded(arm: SimulatedArm, scene: LineScene | ForceScene, method: str, log:
     force sensor the measured wrench and the normal force ``f_normal``.
 
     Args:
-        arm: that has moved.
+        arm: the arm that has moved.
         scene: the scene.
         method: key of how.
         log: the log of the run.

@@ -47,7 +47,7 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
     Args:
         tasks: arguments of ``function``.
         function: of a module, so that every system can hand it to a process; must not raise but for want of memory.
-        processes: how many at once.
+        processes: number of simultaneous processes.
         limit: how long a task may take [s]; its process is ended then.
     """
     waiting = deque((index, 1) for index in range(len(tasks)))

@@ -51,9 +51,9 @@ class ClockReport:
         drift_ppm: by how much the device's second is too short for this computer's.
         drift_std_ppm: its standard deviation.
         late_ms: median delay of messages beyond the least delay [ms].
-        stamps: how many there were.
+        stamps: number of stamps.
         refused: stamps that could not be.
-        restarts: how often the clock was found to have been reset.
+        restarts: number of times the clock was found to have been reset.
     """
 
     offset_s: float

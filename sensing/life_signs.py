@@ -176,7 +176,7 @@ class LifeSigns:
 
         Args:
             stiffness: E of the contact [N/m].
-            frequency: at which the tip swings [Hz].
+            frequency: frequency at which the tip oscillates [Hz].
         """
         t, s, height, force = self._asked.T
         if len(t) < 2 * (_CUBIC + 1):

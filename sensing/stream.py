@@ -129,7 +129,7 @@ class StreamConnection:
     Attributes:
         clock: how the device's clock relates to this computer's; no delay has to be known.
         described: the package that says what the device is, once it came.
-        broken: how often the connection broke.
+        broken: number of times the connection broke.
     """
 
     def __init__(self, host: str, port: int, patience: float = 5.0) -> None:
@@ -224,7 +224,7 @@ def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, 
 
     Args:
         rest: the address without its scheme and the colon.
-        field: what the address is of, for error messages.
+        field: name of the setting that holds the address, for error messages.
         port: usual one; it must be given if None.
     """
     place = rest.removeprefix("//").partition("?")[0].rstrip("/")
@@ -245,7 +245,7 @@ def options(rest: str, known: dict[str, float], field: str) -> dict[str, float]:
     Args:
         rest: the address without its scheme and the colon.
         known: names that may be given, with their usual values.
-        field: what the address is of, for error messages.
+        field: name of the setting that holds the address, for error messages.
     """
     numbers = dict(known)
     for piece in filter(None, rest.partition("?")[2].split("&")):

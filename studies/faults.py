@@ -35,14 +35,13 @@ _CAMERA = {"pictures moved by 2 pixels": {"picture": shifted(2)}, "pictures move
            "mirrored": {"picture": mirrored}, "the same picture for ever": {"picture": frozen()},
            "stamps within 20 ms": {"stamp": shaken(0.02)}, "stamps within 50 ms": {"stamp": shaken(0.05)},
            "stamps that stand still": {"stamp": held}}
-_NOTICED = {"sensor's gain is": "gain",
-            "shows the same weight": "weight", "wrong sign": "weight", "does not turn": "weight", "lost the noise": "noise",
-            "stuck": "stuck", "motor torques show": "motors", "leaps by": "leap", "not a contact force": "no push",
-            "pulls with": "pull", "measured in the air": "in the air", "below the path's start": "depth",
-            "surface without contact": "depth", "lies deeper": "forecast", "axes are not": "axes", "drifts by": "drift",
-            "not done after": "time", "no contact within": "depth", "contact lost": "contact lost",
-            "as the arm moves": "innovations", "it answers": "no answer", "above the limit": "limit",
-            "allowed": "limit"}
+_NOTICED = {"sensor's gain is": "gain", "shows the same weight": "weight", "wrong sign": "weight",
+            "does not turn": "weight", "lost the noise": "noise", "stuck": "stuck", "motor torques show": "motors",
+            "leaps by": "leap", "not a contact force": "no push", "pulls with": "pull",
+            "measured in the air": "in the air", "below the path's start": "depth", "surface without contact": "depth",
+            "lies deeper": "forecast", "axes are not": "axes", "drifts by": "drift", "not done after": "time",
+            "no contact within": "depth", "contact lost": "contact lost", "as the arm moves": "innovations",
+            "it answers": "no answer", "above the limit": "limit", "allowed": "limit"}
 """What a failure says → the sign by which it was noticed."""
 FROM = 70
 """Cycle of a controller in which its fault begins."""

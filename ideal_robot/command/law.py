@@ -153,7 +153,7 @@ class Rival:
 
     Attributes:
         shape, columns, coefficients: see ``JointLaw``.
-        probability: that it is the joint's.
+        probability: probability that it is the joint's law.
     """
 
     shape: Shape
@@ -167,7 +167,7 @@ class JointLaw:
     """The law of one joint.
 
     Attributes:
-        shape: lateness, smoothing and reset time.
+        shape: delay, smoothing and reset time.
         columns: terms of the law.
         coefficients: of the columns ``(m,)``.
         covariance: of the coefficients ``(m, m)``.
@@ -208,7 +208,7 @@ class CommandLaw:
         t_cycle: from command to command [s].
         still: speed below which a joint is treated as reversing ``(n,)`` [rad/s].
         middle, width: of the range in which each joint was moved ``(n,)`` [rad], which postures are measured by.
-        torque: which torque the law's terms are of: ``model`` for the identified model's, ``none``.
+        torque: source of the torque in the law's terms: ``model`` for the identified model's, ``none``.
         cascade: residual of [G]'s identified loop on the same recordings ``(n,)`` [rad]; None where there is none.
         cascade_error: its variances by the parts of ``error_parts`` ``(n, 6)``; None where there is none.
         doubt: probability that the law is the joint's, and not that loop ``(n,)``; None where there is none.
@@ -443,7 +443,7 @@ def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
 
     Args:
         law, n: as read, and how many joints there are.
-        file: where it comes from.
+        file: the file that it comes from.
     """
     def refuse(key: str, expected: str, value: Any = None) -> None:
         raise InputError(f"expected {expected}", file=file, field=f"command.{key}", value=value)

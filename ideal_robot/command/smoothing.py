@@ -26,8 +26,8 @@ class Smoothing:
         delay: by how much it delays slow motion, over its time.
         bend: ``(w_1, w_2)``: the inverse is ``r(t + delay) + w_1 T ṙ + w_2 T² r̈`` taken at ``t + late``.
         late: the part of the delay that the inverse looks ahead by, over its time.
-        times: those tried first [s].
-        words: how a reader calls it.
+        times: time constants that are tried first [s].
+        words: its name for readers.
     """
 
     name: str

@@ -402,7 +402,7 @@ class BestSet:
 
         Args:
             hole: the cause of the set to be replaced, at its joint or ``anywhere``.
-            finalists: how many of them are refined.
+            finalists: number of sets that are refined.
             anywhere: whether other joints are tried, too.
             least: nats below which a candidate is none.
         """
@@ -585,7 +585,8 @@ class BestSet:
         """Total score of the best set with its prior, to compare sets under other priors of parameters.
 
         Args:
-            others: causes of the sets that it is compared with; those that it has not are beside it.
+            others: causes of the sets that it is compared with; those that it does not contain are counted as its
+                alternatives.
         """
         own, narrow = {c.place for c in self.choices}, {c.place: c for c in others}
         alone = evidence(self.system.gram_of_all(["W"]), self.system.precision)
@@ -607,7 +608,7 @@ class BestSet:
         """A copy of the best set, with its present noise, for the regression of another model.
 
         Args:
-            problem: that regression; only coefficients are fitted again, without a search.
+            problem: the regression of the other model; only coefficients are fitted again, without a search.
         """
         other = BestSet(problem, [], absorbed=self.absorbed, noise=self.noise)
         other.pool, other.learns, other.choices = self.pool, self.learns, list(self.choices)

@@ -57,7 +57,7 @@ def joints_share(recording: Recording, robot: Robot, model: Model | None) -> boo
 
     Args:
         recording, robot: as it was read (checks add the torques), and the arm.
-        model: that was given, in the recording's units, or None.
+        model: the model that was given, in the recording's units, or None.
     """
     return model is not None or recording.has("tau") or robot.knows_drive_gains or robot.n == 1
 

@@ -102,7 +102,7 @@ def spreads(model: Model, robot: Robot, regression: Regression) -> list[Spread]:
     """The normal differences of an arm from its model, without any fault.
 
     Args:
-        model, robot: that was given.
+        model, robot: the model and robot that were given.
         regression: of the motor torques about it.
     """
     s, n = regression.signals, model.n
@@ -153,7 +153,7 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
     """The regression about a given model, with all normal differences of an arm from it.
 
     Args:
-        model, robot: that was given.
+        model, robot: the model and robot that were given.
         regression: of the motor torques about it.
         recording: its recording; a force sensor in it gives the external force.
         pushed: see ``Known``; estimated from the recording if None.
@@ -285,7 +285,7 @@ def positions_known(model: Model, regression: Regression,
     errors.
 
     Args:
-        model: that was given.
+        model: the model that was given.
         regression: about it, with the zeros or the device's place as parameters.
         name: of the hypothesis that the torques decided for.
 

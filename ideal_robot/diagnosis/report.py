@@ -58,8 +58,8 @@ class DomainDiagnosis:
         final: its numbers.
         arguments: why each cause is in the set.
         named: indices, from 0, of the causes that are large enough to be reported.
-        gone: those that the validation recording contradicts.
-        perhaps: those that are not distinguishable from none.
+        gone: causes that the validation recording contradicts.
+        perhaps: causes that cannot be distinguished from no cause.
         validation: the regression of the validation recording, or None.
         given: whether the model was given, so that "before" is the model as it was.
         source: hash of the recording.

@@ -253,7 +253,7 @@ def moved_parameters(model: Model, change: Array, root: Array | None, W: Array) 
     """Parameters ``(P,)`` of a given model that this recording changes much, by their change, with their σ.
 
     Args:
-        model, change: that was given, and by how much its parameters moved.
+        model, change: the model that was given, and the change of its parameters.
         root: matrix ``R``, the parameters' prior covariance being ``R R'``.
         W: derivative of the torques ``(N, c, P)``.
     """

@@ -95,7 +95,7 @@ class System:
         self.groups.setdefault(key, columns)
 
     def drop(self, key: str) -> None:
-        """Removes a group."""
+        """Removes a group of columns."""
         self.groups.pop(key, None)
         for kept in [kept for kept in self._posteriors if key in kept]:
             del self._posteriors[kept]

@@ -72,7 +72,7 @@ def log6(R: Array, p: Array, out: Array) -> None:
     else:
         longer, bend = angle / sine, 1.0 / angle**2 - 1.0 / (2.0 * angle * np.tan(0.5 * angle))
     if cosine < HALF_TURN:
-        # R + Rᵀ = 2 cos I + 2 (1 - cos) a aᵀ holds the axis a but for its sign, which the other part has.
+        # R + Rᵀ = 2 cos I + 2 (1 - cos) a aᵀ holds the axis a up to its sign; R - Rᵀ holds the sign.
         k = 0
         for r in range(1, 3):
             if R[r, r] > R[k, k]:

@@ -112,7 +112,7 @@ class Effect(ABC):
 
     Attributes:
         name: of the cause, key in files and tables; the same cause may have a class for each place where it shows.
-        domain: where it acts: one of ``MOTOR_TORQUE``, ``ARM_POSITION``, ``TCP_POSITION``, ``SENSOR``.
+        domain: the domain in which it acts: one of ``MOTOR_TORQUE``, ``ARM_POSITION``, ``TCP_POSITION``, ``SENSOR``.
         prefix: first part of the name of the channel it is reported in; that of the domain if empty.
         theta_names, theta_units: nonlinear parameters.
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
@@ -127,7 +127,7 @@ class Effect(ABC):
         nowhere: why it does not act in the loop; empty where it does.
         discriminating_motion: names of causes that are easily mistaken for this one, with the motion that distinguishes
             them; one of the two causes has to list it.
-        source: where the equation comes from.
+        source: reference of the equation.
     """
 
     name: ClassVar[str]
@@ -223,7 +223,7 @@ class Effect(ABC):
         By default the physical bounds; for a single parameter a factor of three, for a start of zero none.
 
         Args:
-            signals, joint, theta: as of ``columns``, theta being the start.
+            signals, joint, theta: as in ``columns``, theta being the start.
         """
         bounds = self.bounds(signals, joint)
         if len(bounds) != len(theta):
@@ -261,7 +261,7 @@ class Effect(ABC):
 
         Args:
             coefficients: ``(m,)``, in ``coefficient_units``.
-            theta, signals, joint: as of ``columns``.
+            theta, signals, joint: as in ``columns``.
         """
         return bool(self.within[0] < coefficients[0] < self.within[1])
 
@@ -269,7 +269,7 @@ class Effect(ABC):
         """Prior covariance of the coefficients ``(m, m)``; None where only the size of their torque is known.
 
         Args:
-            signals, joint: as of ``columns``.
+            signals, joint: as in ``columns``.
         """
         return None
 

@@ -341,6 +341,6 @@ def delayed(values: Array, delay: float, dt: float) -> Array:
 
     Args:
         values: the signal, in any unit.
-        delay, dt: by which it is late, and between samples [s].
+        delay, dt: the delay, and the time between samples [s].
     """
     return np.asarray(ndimage.shift(values, delay / dt, order=3, mode="nearest"))

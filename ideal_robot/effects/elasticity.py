@@ -45,7 +45,7 @@ class GearEffect(Effect):
         """Deflection of the gear for a unit coefficient ``(N,)`` [rad or m].
 
         Args:
-            signals, joint, theta: as of ``Effect.columns``.
+            signals, joint, theta: as in ``Effect.columns``.
         """
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -285,7 +285,7 @@ def swinging(acceleration: Array, inertia: Array, dt: float, stiffness: float) -
 
     Args:
         acceleration: of the motor relative to the unloaded arm, ``tau_load/M`` ``(N,)`` [rad/s²].
-        inertia: behind the gear ``(N,)`` [kg m²].
+        inertia: inertia on the load side of the gear ``(N,)`` [kg m²].
         dt: between samples [s].
         stiffness: of the gear [N m/rad].
     """

@@ -40,7 +40,7 @@ class Unknown(Effect):
         depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
         directed: whether the curve is multiplied by the sign of the joint's velocity.
         knots: knots of each signal's spline, ends included.
-        domain: where it acts.
+        domain: the domain in which it acts.
         frequency: for a term periodic in the signal: its angular frequency instead of a spline.
     """
 
@@ -112,7 +112,7 @@ def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
     """Cubic B-splines ``(N, len(knots) + 2)``, fading to zero outside of their knots.
 
     Args:
-        x, knots: where, in the signal's unit ``(N,)``, and the knots, ends included.
+        x, knots: arguments in the signal's unit ``(N,)``, and the knots, ends included.
         margin: share of the knots' range over which they fade.
     """
     inner = np.asarray(knots)

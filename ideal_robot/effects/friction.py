@@ -227,7 +227,7 @@ class LoadDependentFriction(Effect):
         """Load of the teeth ``(N,)`` [N m]: load and possible weight, without the inertia on the motor's side.
 
         Args:
-            signals, joint, theta: as of ``columns``, theta the inertia [kg m²].
+            signals, joint, theta: as in ``columns``, theta being the inertia [kg m²].
         """
         # Files of earlier versions have no theta.
         before = theta[0] if theta else 0.0
@@ -335,7 +335,7 @@ class WarmingEffect(Effect):
         """The warming ``w (N,)`` [1 or K]; zero for a temperature that was not measured.
 
         Args:
-            signals, joint, theta: as of ``columns``, theta being ``T`` [s].
+            signals, joint, theta: as in ``columns``, theta being ``T`` [s].
         """
         if theta[0] > 0.0:
             return np.asarray(1.0 - np.exp(-signals.t / theta[0]))

@@ -85,7 +85,7 @@ class TorqueRipple(Effect):
         """Part of a residual that a ripple of this joint could cause ``(N,)``, and the samples that are used ``(N,)``.
 
         Args:
-            signals, joint, residual, use: as of ``Effect.starts_from_residual``.
+            signals, joint, residual, use: as in ``Effect.starts_from_residual``.
         """
         return residual[:, joint - 1], use[:, joint - 1]
 
@@ -93,7 +93,7 @@ class TorqueRipple(Effect):
         """Cosine and sine of the order times the joint's position ``(N, 2)``.
 
         Args:
-            signals, joint, theta: as of ``columns``, theta the order [1/rad].
+            signals, joint, theta: as in ``columns``, theta being the order [1/rad].
         """
         turns = theta[0] / (2.0 * np.pi) * signals.q[:, joint - 1]
         # Reducing the argument to one turn halves the time of the sines.
@@ -167,7 +167,7 @@ def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float
         q, residual: position ``(N,)`` [rad or m], and the residual there ``(N,)``, in any unit.
         use: samples that are used ``(N,)``.
         band: lowest and highest order [1/rad or 1/m].
-        peaks: how many, the highest first.
+        peaks: number of peaks, the highest first.
     """
     low, high = band
     span = float(np.ptp(q)) + 1e-12

@@ -37,7 +37,7 @@ class ClampedSignals:
     """One clamped recording, filtered and decimated to ``2 · DECIMATE_HZ``.
 
     Attributes:
-        source: where the recording came from.
+        source: the file that the recording came from.
         t: time on the controller's clock ``(N,)`` [s].
         q_m: motor angles ``(N, n)`` [rad].
         tau: motor torques from current and data-sheet gain, [J] (9), ``(N, n)`` [N m], as recorded where no gain is

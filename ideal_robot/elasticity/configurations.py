@@ -79,7 +79,7 @@ def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Gene
     Args:
         robot, limits: geometry and limits; those of arm, sensor and site.
         rng, candidates: for the candidates, and how many are compared.
-        most: how many configurations one is ready to clamp.
+        most: largest number of configurations that can be clamped.
     """
     guess = limits.stiffness_guess * robot.tau_max
     if not np.all(np.isfinite(guess)):

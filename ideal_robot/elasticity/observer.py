@@ -96,7 +96,7 @@ class ArmObserver:
         """Advances by one cycle: motor angles at its end, external joint torque during it.
 
         Args:
-            state, q: before the cycle, and motor angles at its end ``(n,)`` [rad].
+            state, q: state before the cycle, and motor angles at its end ``(n,)`` [rad].
             tau_ext: joint torque of external forces during it ``(n,)`` [N m]; None for none.
         """
         q = np.array(q, dtype=float)

@@ -117,7 +117,7 @@ class JointStiffness:
         relative_error_percent: ‖W χ − Y‖ / ‖Y‖ [%].
         interval: 95 % interval of the stiffness [N m/rad], with correlated residuals and ``Tolerances``.
         condition: worst condition number of the Jacobians used, moments divided by 1 m.
-        recordings: which recordings loaded the joint.
+        recordings: the recordings that loaded the joint.
     """
 
     joint: int

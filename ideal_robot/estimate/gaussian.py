@@ -26,7 +26,7 @@ class Posterior:
     Attributes:
         mean: ``(P,)``.
         root: lower Cholesky factor of the scaled precision ``(P, P)``.
-        scale: by which parameters were multiplied before ``(P,)``.
+        scale: factors by which parameters were multiplied before ``(P,)``.
         squares: whitened squares of the residual.
         logarithm: of the determinant of the precision A.
     """
@@ -142,7 +142,7 @@ def measured(mean: Array, covariance: Array, places: np.ndarray, y: Array, varia
     """Mean ``(p,)`` and covariance ``(p, p)`` of parameters after direct measurements of some of them.
 
     Args:
-        mean, covariance: before ``(p,)``, ``(p, p)``.
+        mean, covariance: estimate before the measurement ``(p,)``, ``(p, p)``.
         places: of the measured parameters ``(k,)``.
         y, variance: the measurements, and the variance of their noise ``(k,)``.
     """

@@ -117,7 +117,7 @@ class CommandGovernor:
 
     Args:
         robot: limits of position, speed and acceleration; where unknown (infinite) there is none.
-        q: where the arm rests before the first command ``(n,)`` [rad, or m where a joint slides].
+        q: joint positions at rest before the first command ``(n,)`` [rad, or m where a joint slides].
         t_ipo: interpolation cycle [s]; the robot's if None.
         j_max: jerk limit ``(n,)`` [rad/s³, m/s³]; by default what lets the acceleration change from one limit to the
             other in one cycle.

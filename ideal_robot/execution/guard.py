@@ -135,7 +135,7 @@ class Guard:
 
     Args:
         robot: limits and tool.
-        q: where the arm rests ``(n,)`` [rad].
+        q: joint angles at which the arm rests ``(n,)`` [rad].
 
     Attributes:
         watches: the checks of every cycle.

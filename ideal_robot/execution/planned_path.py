@@ -55,7 +55,7 @@ def read_path(path: Path, robot: Robot) -> GivenPath:
 
     Args:
         path: JSON with a JointTrajectory anywhere in it, a bag or MCAP that holds one, or any recording.
-        robot: whose joints these are.
+        robot: the robot whose joints these are.
 
     Raises:
         InputError: no path in the file, columns or joints are missing, or there are more than the arm has, points that

@@ -159,7 +159,7 @@ class PrecorrectedPath(Summarised):
 
     Attributes:
         recording: ``t``, ``q_c_i``, ``q_d_i``, to be written to a file.
-        method: how it was corrected.
+        method: the method by which it was corrected.
         robot_name: arm.
         t: ``(N,)`` [s].
         q_d, q_c: desired and commanded ``(N, n)`` [rad].
@@ -237,7 +237,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
         delay: cycles between hand-over of a command and the start of its interpolation.
         rest: added before the path, for the gears' deflection [s].
         slow: slow the path along itself where it or its commands leave a limit; else such a path is refused.
-        file: where the path comes from, for messages.
+        file: the file that the path comes from, for messages.
         column: name of its positions there.
 
     Raises:

@@ -293,7 +293,7 @@ class Answering:
 
     Args:
         motion: the arm's, not yet begun.
-        wanted: how it is to be answered.
+        wanted: settings of the answers.
 
     Attributes:
         knots: the commands; ``begin`` resets them.
@@ -416,7 +416,7 @@ class Process:
     """Runs ``answer`` in a separate process.
 
     Args:
-        wanted: how the arm is to be answered.
+        wanted: settings of the answers to the arm.
 
     Raises:
         FciError: see ``FciMotion``.

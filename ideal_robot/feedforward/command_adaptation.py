@@ -1,12 +1,12 @@
 r"""Adaptation of the command's law: delay, gains and offset follow the arm during the run.
 
-With ``r`` the command as the controller sees it, and :math:`e_v`, :math:`e_f` the identified law's predictions from the
+With ``r`` the command at the controller's input, and :math:`e_v`, :math:`e_f` the identified law's predictions from the
 measured motion and from torques, each moving joint satisfies
 
 .. math:: r(t; \Delta) - q - e_v - e_f = \Delta\, \dot r + o + g_v e_v + g_f e_f + \varepsilon
 
-with Δ the change of the lateness, o an offset, and :math:`g_v`, :math:`g_f` relative changes of the gains. Both sides
-pass the same lags before. The parameters are estimated by the recursion of ``estimate.recursive``. In joints in which
+with Δ the change of the delay, o an offset, and :math:`g_v`, :math:`g_f` relative changes of the gains. Both sides pass
+the same low-passes first. The parameters are estimated by the recursion of ``estimate.recursive``. In joints in which
 the law's residual of the last seconds is not below that of the uncorrected command, the path is commanded uncorrected,
 so that adaptation is never worse than no correction.
 """
@@ -26,13 +26,13 @@ from ideal_robot.feedforward.command_inverse import Changed, CommandInverse, Inv
 from ideal_robot.robots.interface import RobotState
 
 _LATE, _GAIN = 0.05, 0.3
-"""Standard deviations beforehand: of a change of lateness [s], of gains over their size and of an offset over that of
+"""Prior standard deviations: of a change of the delay [s], of gains over their size and of an offset over that of
 ``q_c - q``. A controller's lag was seen to go from 84 to 180 ms with duty."""
 _RESOLVED = 1e-2
 """Of ``q_c - q``, what a measurement is wrong by at least, by smoothing and lines between commands; a smaller change
 changes no path that a user would see."""
 _LATER = GATE * _LATE
-"""Lateness beyond the identified one for which desired positions are looked at [s]: what is learned stays below."""
+"""Delay beyond the identified one for which desired positions are looked at [s]: what is learned stays below."""
 _DRIFTS = 60.0
 """Time constant of the changes [s]: a lag drifts within minutes, gains are changed from one job to the next."""
 _ALIKE = 0.1
@@ -66,7 +66,7 @@ class Past:
     Attributes:
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
         measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
-        wanted: where the motors were to be in the last cycles ``(L, n)`` [rad].
+        wanted: desired motor positions of the last cycles ``(L, n)`` [rad].
         lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q``, ``q_c - q`` and whether a joint moves
             ``(2, 7, n)`` [rad, rad/s].
         filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
@@ -89,7 +89,7 @@ class Judgement:
 
     Attributes:
         squares: mean squared residuals of law and uncorrected command ``(2, n)`` [rad²].
-        count: how many measurements those are of ``(n,)``.
+        count: number of measurements behind each ``(n,)``.
         law: whether each joint is commanded by the law ``(n,)``.
         aside: for how long it is put aside still, and for how long the next time ``(2, n)`` [s].
     """
@@ -109,7 +109,7 @@ class AdaptedState:
         mean, covariance: of the parameters ``(n, 4)``, ``(n, 4, 4)``, in units of their prior standard deviations.
         past: commands and measurements.
         judgement: of law and plain path.
-        share: how far the law has been taken up ``(n,)``.
+        share: progress of the change from the uncorrected command to the law, 0 to 1 ``(n,)``.
     """
 
     inner: InverseState

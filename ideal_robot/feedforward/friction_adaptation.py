@@ -93,12 +93,13 @@ class FrictionFactors(NamedTuple):
         x: parameters: each joint's own, and those that all joints share ``(p,)``.
         covariance: of them ``(p, p)``.
         values: of friction's terms ``(n, TERMS)``.
-        mass: that the tool has beyond the model's [kg].
+        mass: mass of the tool beyond the model's [kg].
         friction: of the loop with them, see ``friction.terms.with_terms``.
         load: torque that the gears transmitted in the middle of the last window ``(n,)`` [N m].
         used: number of used measurements per joint ``(n,)``.
         window: last measurements.
-        waiting: those that are not yet in it: motor angles, motor torques, joint torques of contact.
+        waiting: measurements that the estimate does not contain yet: motor angles, motor torques, joint torques of
+            contact.
         cycle: cycles since the start.
         t: of the last measurement [s]; not a number before the first.
     """
@@ -195,7 +196,7 @@ class FrictionAdaptation:
         """The state updated by the controller's report at the end of a cycle.
 
         Args:
-            state, measured: before the cycle, and motor angles and torques.
+            state, measured: state before the cycle, and measured motor angles and torques.
             tau_ext: joint torque of contact that was expected ``(n,)`` [N m]; None for none.
         """
         # Copies, as the controller's driver may overwrite its arrays later.
@@ -314,7 +315,7 @@ class AdaptedState(NamedTuple):
         ideal: of the ideal robot.
         factors: learned from torques.
         curve: learned from following errors; None where nothing is.
-        friction: that follows from both.
+        friction: the friction that follows from both.
         tau_ext: last contact torque that it was given ``(n,)`` [N m].
     """
 
@@ -332,7 +333,7 @@ class AdaptedIdeal(Feedforward):
 
     Args:
         ideal: the ideal robot to be adapted.
-        adaptation: how.
+        adaptation: method of adaptation.
         known: initial estimates; friction as identified and no mass if None.
         curve: estimates the rest from following errors; None for none. Only for paths known beforehand, as replanning
             causes following errors without friction.

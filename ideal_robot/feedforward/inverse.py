@@ -263,8 +263,8 @@ class Inverse(Feedforward):
         """The inverse of an identified model; ``delay`` as in ``loop_model``, ``n_d`` and ``options`` as in the class.
 
         Args:
-            model, robot, delay: as of ``loop_model``.
-            n_d, options: as of the class.
+            model, robot, delay: as in ``loop_model``.
+            n_d, options: see the class.
         """
         return cls(loop_model(model, robot, delay=delay), n_d, options)
 
@@ -298,7 +298,7 @@ class Inverse(Feedforward):
 
         Args:
             friction: of every joint.
-            state, q_d, tau_ext_d: as of ``step``.
+            state, q_d, tau_ext_d: as in ``step``.
             carried: payload beyond the model's bodies; its gear deflection is not added.
             inertia: coupling of the joints' accelerations into the drive torques beyond the model's ``(n, n)`` [kg m²].
         """

@@ -97,7 +97,7 @@ class Practice:
         """A motion ``(M, n)`` about a path that differs from it, and the commands learned for it ``(M, n)`` [rad].
 
         Args:
-            q_d, loop, progress: as of ``learned``.
+            q_d, loop, progress: as in ``learned``.
         """
         if self._trained is None or not np.array_equal(self._trained[0], q_d):
             motion = self.motion(q_d)

@@ -23,7 +23,7 @@ def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: flo
         spacing: distance of the spline's knots [s].
         cutoff: frequency at which a sinusoid is halved [Hz]; the gain is 1/(1 + (f/cutoff)^8), so a quarter of it
             passes unharmed (1e-5).
-        orders: how many matrices, value included.
+        orders: number of matrices, that of the value included.
     """
     start, end = float(t_samples[0]), float(t_samples[-1])
     pieces = max(1, round((end - start) / spacing))

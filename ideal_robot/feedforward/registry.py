@@ -83,7 +83,7 @@ def require(key: str, allowed: Sequence[str], field: str = "method") -> None:
     Args:
         key: of a method, with its setting or without.
         allowed: keys, settings behind those that have them.
-        field: where it was given.
+        field: name of the setting that named it.
     """
     if key in allowed:
         return

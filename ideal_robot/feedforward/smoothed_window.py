@@ -42,7 +42,7 @@ class Window(NamedTuple):
 
     Attributes:
         q, tau, force: motor angles [rad], torques that act [N m], presliding states [N m], ``(CYCLES, n)`` each.
-        rows: how many of them have been measured.
+        rows: number of rows that have been measured.
     """
 
     q: Array
@@ -80,7 +80,7 @@ def noted(window: Window, measured: Array, drives: Drives, friction: Friction, l
     """The window with further measurements; a value that is not finite restarts it.
 
     Args:
-        window: before; it is not written to.
+        window: window before the measurement; it is not modified.
         measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
         drives, friction: of the identified loop.
         load: last known torque of the gears ``(n,)`` [N m].

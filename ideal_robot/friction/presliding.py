@@ -43,8 +43,8 @@ def presliding_state(dry: float, v: float, state: float, step: float, distance: 
     Args:
         dry: size D at the velocity and load of the step [N m].
         v: velocity of the motor [rad/s]; its sign decides where dry friction jumps.
-        state: before the step [N m].
-        step: how far the motor goes [rad].
+        state: torque before the step [N m].
+        step: displacement of the motor [rad].
         distance: presliding distance [rad]; 0 where dry friction jumps.
     """
     if distance == 0.0:
@@ -62,8 +62,8 @@ def slid(direction: Array, steps: Array, distance: Array) -> Array:
     """Directions of sliding ``(n,)``, -1 to 1, after a step of all joints: ``presliding_state`` of unit size.
 
     Args:
-        direction: before the step ``(n,)``.
-        steps: how far the joints go ``(n,)`` [rad].
+        direction: directions of motion before the step ``(n,)``.
+        steps: displacements of the joints ``(n,)`` [rad].
         distance: presliding distance ``(n,)`` [rad]; where it is 0, the direction is that of the step.
     """
     after = np.empty_like(direction)

@@ -82,7 +82,7 @@ def distance_with(friction: Friction, sizes: Array) -> Array:
     stiffness). Load differs: it brings more contacts together, and the distance stays.
 
     Args:
-        friction: before.
+        friction: friction before the step.
         sizes: dry and fluid friction as it is now ``(n, 2, m, 2)`` [N m].
     """
     distance = friction.distance.copy()
@@ -140,9 +140,9 @@ def friction_step(friction: Friction, joint: int, v: float, load: float, force: 
     """Friction torque of a joint, and its presliding state after a step [N m]; the equations: ``friction_torque``.
 
     Args:
-        friction, joint, v, load: as of ``friction_sizes``.
+        friction, joint, v, load: as in ``friction_sizes``.
         force: presliding state before the step [N m].
-        step: how far the motor goes [rad].
+        step: displacement of the motor [rad].
     """
     dry, fluid = friction_sizes(friction, joint, v, load)
     return friction_torque(dry, fluid, v, force, step, friction.distance[joint])

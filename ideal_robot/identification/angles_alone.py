@@ -25,7 +25,7 @@ class CommandIdentification(Summarised):
 
     Attributes:
         model: rigid bodies by the URDF, and ``model.command``; ``precorrect``, ``play`` and followers use it.
-        recordings: that it is from.
+        recordings: the recordings that it was identified from.
         warnings: named warnings, each ``name: sentence``.
         missing: parts that the recordings do not determine, each ``part: what is needed``.
     """

@@ -11,7 +11,7 @@ torque comes closest to the measured one over the whole recording (simulated, no
 teaches). A drive logs its present torque, or the mean since the last sample, which is a millisecond or two older. The
 wrong assumption changes gains by a fifth; the one that fits better is used. Written out, τ is linear in k_p k_v, k_p
 k_ff, k_p k_a and k_p; only the times and k_i / k_p need a search. What happens to commands before the cascade (a
-lateness, a lag) is the same for all joints, and sought where a short low-pass does not explain the torque. So is what
+delay, a low-pass) is the same for all joints, and sought where a short low-pass does not explain the torque. So is what
 drives may do by themselves: the speed v_c over which they turn round what they compensate of friction, τ_c, and the
 share g in which the gains of the velocity loop follow the inertia that a joint moves, ``k_p (1 + g (J(q) / J_0 - 1))``,
 and other kinds of controllers: PID, impedance, inverse dynamics, whose torques are looked at where they were made,
@@ -46,8 +46,8 @@ from ideal_robot.signals.sampling import gap_free
 _ORDER = 2
 """Stages of the command low-pass that are fitted; a single short one comes out as two shorter ones just as well."""
 _SEEN = 0.9
-"""Share of the torque's squares that a low-pass leaves, below which a channel has to come to be sought for: with every
-lateness there is one that differs from it by noise alone."""
+"""Share of the torque's squares that a low-pass leaves, which a channel of the command has to fall below to be sought:
+for every delay there is a channel that differs from the low-pass by noise alone."""
 _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
 _COARSEST = 0.25 / _CUTOFF

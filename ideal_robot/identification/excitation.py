@@ -230,7 +230,7 @@ class MotionSpace:
         robot: limits and kinematics; nominal inertias only weigh torque against its limit.
         period: of the motions [s].
         harmonics: number of sines and cosines per joint.
-        workspace: where tool and links may go.
+        workspace: region in which tool and links may move.
         speed, acceleration, travel: shares of the limits that may be used.
 
     Raises:

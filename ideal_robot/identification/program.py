@@ -34,7 +34,7 @@ class Move:
         purpose: ``gravity``, ``inertia`` or ``friction``.
         amplitude: half of the way [rad].
         velocity, acceleration: of the trapezoid [rad/s, rad/s²].
-        repeats: how many times there and back.
+        repeats: number of motions there and back.
     """
 
     point: int
@@ -74,7 +74,7 @@ class Program:
         """Commands ``(N, n)`` [rad] every ``t_ipo``, from rest at ``start``.
 
         Args:
-            start, t_ipo: where the arm rests before ``(n,)`` [rad], and the interpolation cycle [s].
+            start, t_ipo: joint angles at rest before the program ``(n,)`` [rad], and the interpolation cycle [s].
             robot: the arm with its limits.
         """
         v_max, a_max = finite_limits(robot)
@@ -126,7 +126,7 @@ def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> Non
 
     Args:
         robot, q_c: the arm, and commands every interpolation cycle ``(N, n)`` [rad].
-        workspace: where tool and links may go.
+        workspace: region in which tool and links may move.
     """
     speed = np.diff(q_c, axis=0) / robot.t_ipo
     acceleration = np.diff(speed, axis=0) / robot.t_ipo

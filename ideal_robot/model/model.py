@@ -36,7 +36,7 @@ class Model(Summarised):
     """Dynamic model of an arm with ``n`` joints, as written to a model file.
 
     Attributes:
-        arm: that it belongs to.
+        arm: name of the arm that it belongs to.
         base: the base parameters and their grouping.
         base_values: their values ``(b,)``.
         friction: friction law of each joint.

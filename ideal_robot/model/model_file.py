@@ -197,7 +197,7 @@ def require_controller(controller: ControllerModel, n: int, file: Path | str | N
 
     Args:
         controller, n: of the joints, and how many there are.
-        file: where it comes from.
+        file: the file that it comes from.
     """
     known = ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time")
     further = [key for key in ("compensation", "v_compensation", "scheduled_at", "bodies", "acceleration")

@@ -119,7 +119,7 @@ class FollowingWatch:
     Attributes:
         adds_up: whether the controller turned out to add up absolute corrections.
         missing: readings that could not be and were not used.
-        tolerance: how far the arm may be outside its commands [rad].
+        tolerance: largest distance of the arm from the range of its commands [rad].
         rest: measured minus commanded at rest, before the first motion ``(n,)`` [rad].
     """
 
@@ -374,7 +374,7 @@ def read_waiting(link: socket.socket, deadline: Deadline, taken: Callable[[bytes
 
     Args:
         link: of datagrams.
-        deadline: until when a packet that is taken is waited for.
+        deadline: end of the wait for an accepted packet.
         taken: called with each packet and its sender; whether it is one that was waited for.
         size: of the largest packet.
 
@@ -440,7 +440,7 @@ class LinkedRobot(ABC):
         missed: whether the controller had to do without a command of ours since the last one.
         unanswered: states that came before the last one and too late for an answer, oldest first.
         counts: statistics of the link.
-        arrived: when the last packet was read, by ``time.perf_counter`` [s].
+        arrived: time at which the last packet was read, by ``time.perf_counter`` [s].
         horizon: coming cycles of which the link can hand over expected commands; 0 where it cannot.
         speed: share of the path's speed that the controller lets the arm have now: its override.
         paused: why the controller holds the arm for a while; None while it does not.

@@ -21,7 +21,7 @@ class JointMotions(NamedTuple):
     """Motion of each of ``b`` joints by the ``n`` coordinates, in the order of the chain.
 
     Attributes:
-        coordinate: that moves it, from 0 ``(b,)``.
+        coordinate: number of the coordinate that moves each joint, from 0 ``(b,)``.
         ratio, offset: its angle is ratio times the coordinate plus offset ``(b,)`` [-, rad or m]; 1 and 0 of joints
             that move on their own.
         axis: in its own frame ``(b, 3)``.

@@ -358,7 +358,7 @@ def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
 
     Args:
         q_min, q_max: position limits ``(n,)`` [rad or m].
-        count: how many.
+        count: number of postures.
     """
     from scipy.stats import qmc  # imported late, as loading a robot does not need it
 

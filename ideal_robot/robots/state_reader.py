@@ -22,7 +22,7 @@ class ReportedState:
 
     Attributes:
         t: by the controller's clock [s].
-        arrived: when it was read, by ``time.perf_counter`` [s].
+        arrived: time at which it was read, by ``time.perf_counter`` [s].
         q: joint angles ``(n,)`` [rad], in the order of the URDF.
     """
 

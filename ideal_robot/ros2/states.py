@@ -152,7 +152,7 @@ def reader(address: Address, robot: Robot, patience: float) -> Ros2Reader:
 
     Args:
         address: of the arm's interface.
-        robot: whose joints they are.
+        robot: the robot whose joints they are.
         patience: how long they are waited for [s].
 
     Raises:

@@ -148,7 +148,7 @@ class LinkCounts:
         outdated: packets of a cycle already past; not answered.
         refused: packets that are no message of a controller, or with a time stamp that cannot be; not answered.
         foreign: packets from another sender, or another port; not answered. In a flood the system drops most uncounted.
-        second: those of them that are valid messages of a controller.
+        second: packets from another sender that are valid messages of a controller.
         ignored: optional elements that could not be used.
         implausible: implausible measured positions, which are treated as missing.
         late: answers that the controller reported as late.
@@ -194,7 +194,7 @@ class PacketLink:
     """A UDP socket for one controller, the sender of the first valid packet.
 
     Args:
-        host, port: where to listen; port 0 for any free one.
+        host, port: address to listen at; port 0 for any free one.
         n: number of axes.
         controller: the only accepted address; None for the first sender.
         form: further required elements of a packet, see ``parse_rob``.

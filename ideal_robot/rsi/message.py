@@ -244,7 +244,8 @@ def parse_rob(packet: bytes, n: int, form: RsiFormat | None = None) -> RobMessag
 
     Args:
         packet, n: as it came, and the number of axes.
-        form: where it corrects the pose that is needed, where it holds external axes they are read.
+        form: layout of the message; a pose is required where it corrects the pose, and external axes are read where it
+            holds them.
 
     Raises PacketError if too large, not such a message, IPOC or AIPos missing, another number of axes, a number that is
     none or not finite.

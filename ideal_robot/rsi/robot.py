@@ -30,7 +30,7 @@ class InForce:
     In a cycle without an answer the controller repeats the last increment if it ``repeats``, or stays at its setpoint.
 
     Args:
-        corrections: how increments follow each other.
+        corrections: the rule by which increments follow each other.
         repeats: see above.
     """
 
@@ -44,9 +44,11 @@ class InForce:
         self._sent = position
 
     def advance(self, used: bool, missed: int) -> bool:
-        """Advances by a packet: whether the answer was used, and the number of missed cycles after it.
+        """Advances the position in force to the next packet; returns whether it differs from the commanded one.
 
-        Returns whether the position differs from the commanded one.
+        Args:
+            used: whether the controller used the last answer.
+            missed: number of cycles after that one whose packets never came.
         """
         if used and self._sent is not None:
             self.position, self.step = self._sent, self._corrections.between(self.position, self._sent)

@@ -22,7 +22,7 @@ class RtdeReader(StateReader):
 
     Args:
         robot: six joints, and the requested cycle of states.
-        host, port: where the controller listens.
+        host, port: address at which the controller listens.
         patience: how long it is waited for [s].
 
     Raises:
@@ -64,7 +64,7 @@ def reader(address: Address, robot: Robot, patience: float) -> RtdeReader:
 
     Args:
         address: of the arm's interface.
-        robot: whose joints they are.
+        robot: the robot whose joints they are.
         patience: how long they are waited for [s].
 
     Raises:

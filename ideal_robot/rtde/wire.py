@@ -80,8 +80,8 @@ class Recipe:
     Attributes:
         number: the controller's number of the recipe; it is the first byte of every data package.
         names: names of the fields.
-        layout: how they follow each other.
-        counts: how many numbers each field has.
+        layout: order and formats of the fields.
+        counts: number of values in each field.
     """
 
     number: int
@@ -134,7 +134,7 @@ class RtdeConnection:
     """A client's side of RTDE.
 
     Args:
-        host, port: where the controller listens.
+        host, port: address at which the controller listens.
         timeout: how long the controller has for an answer, whatever else it sends meanwhile [s].
 
     Raises:
@@ -173,8 +173,8 @@ class RtdeConnection:
         """Requests the fields that the controller sends, by names and types; raises as ``Recipe.agreed``.
 
         Args:
-            fields: that are needed.
-            frequency: how often a second they are sent.
+            fields: the fields that are needed.
+            frequency: rate at which they are sent [Hz].
             optional: fields that are omitted where the controller does not have them.
         """
         wanted = {**fields, **(optional or {})}
@@ -222,7 +222,7 @@ class RtdeConnection:
 
         Args:
             recipe: of the packages.
-            deadline: until when one is waited for.
+            deadline: end of the wait for a packet.
             quiet: whether silence gives none, instead of an error.
 
         Raises:

@@ -74,7 +74,7 @@ class Source:
 
     Attributes:
         title: of the column in the file.
-        factor: by which its values are multiplied.
+        factor: factor by which its values are multiplied.
     """
 
     title: str

@@ -61,7 +61,7 @@ class CutoffChoice:
     Attributes:
         cutoff: of the positions [Hz].
         cutoff_decimation: of torque and columns in the fit [Hz].
-        band: in which all candidates were judged [Hz].
+        band: frequency band in which all candidates were compared [Hz].
         errors: held-out error of each candidate, geometric mean over joints of std(residual) / std(torque).
         limit: ``lower`` or ``upper`` where the choice is the first or last candidate, empty otherwise.
     """

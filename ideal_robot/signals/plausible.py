@@ -53,7 +53,7 @@ def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, colu
 
     Args:
         q, robot: joint positions ``(N, n)`` [rad, or m where a joint slides], and their limits.
-        file, column: where they come from, and their name without the joint.
+        file, column: the file that they come from, and their name without the joint.
     """
     largest = np.max(np.abs(q), axis=0, initial=0.0)
     span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
@@ -98,7 +98,7 @@ def require_metres(position: Array, *, file: str | None = None, column: str = "x
 
     Args:
         position: one coordinate ``(N,)`` [m]; NaN where it was not measured.
-        file, column: where it comes from, and its name.
+        file, column: the file that it comes from, and its name.
     """
     farthest = float(np.max(np.abs(position), initial=0.0, where=np.isfinite(position)))
     if farthest > _FARTHEST:

@@ -39,7 +39,7 @@ class FilteredSignals:
         cutoff: of the position filter [Hz].
         cutoff_decimation: half-power frequency of the decimation filter [Hz].
         keep: mask ``(ceil(N / factor),)`` of decimated samples away from edges and holes.
-        source: where the recording came from.
+        source: the file that the recording came from.
         columns: further columns of the recording on the same time grid, ``(N,)`` each (unfiltered).
     """
 
@@ -110,7 +110,7 @@ class EvenSignals:
         hole: mask ``(N,)`` of the instants at which nothing was recorded.
         q: positions ``(N, n)`` [rad].
         tau: motor torque ``(N, n)`` [N m]; NaN where the recording has none.
-        source: where the recording came from.
+        source: the file that the recording came from.
         columns: further columns, ``(N,)`` each.
     """
 

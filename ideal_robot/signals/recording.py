@@ -377,7 +377,7 @@ def short_names(sources: Sequence[str]) -> list[str]:
     """Short distinct names of files: with their folders where two have the same name.
 
     Args:
-        sources: where recordings come from, see ``Recording.source``.
+        sources: files that recordings come from, see ``Recording.source``.
     """
     parts = [Path(source).parts or (source,) for source in sources]
     depths = [1] * len(parts)

@@ -212,7 +212,7 @@ _MOTION = 5.0
 _SHARE = 0.5
 """Share of the fast part of the positions that the other joints have to foretell, for it to be the clock's."""
 _SMOOTH = 0.5
-"""Correlation of neighbouring samples' lateness from which on it is motion of the joints in step, not the clock's."""
+"""Correlation of neighbouring samples' delays from which on it is motion of the joints in step, not the clock's."""
 _FARTHEST = 0.45
 """Instants are moved by less than that share of a step; samples keep their order."""
 _FEWEST = 200

@@ -90,7 +90,7 @@ def worst_force(force: float, ratio: tuple[float, float], error: float) -> float
     """The force on the surface that is exceeded with a probability of one in 16,000 [N].
 
     Args:
-        force: that is kept as the sensor shows it [N].
+        force: force that is controlled, as the sensor shows it [N].
         ratio: of the true force to the shown one, κ, and its standard deviation.
         error: standard deviation of the shown force [N].
     """

@@ -204,7 +204,7 @@ class EmergencyStopError(PlanningError):
     Args:
         cause: ``force``, ``contact``, ``line``, ``reach``, ``position``, ``velocity`` or ``acceleration``.
         t: controller time [s].
-        text: what was found, with value, limit and remedy.
+        text: the message: what was found, with value, limit and remedy.
     """
 
     def __init__(self, cause: str, t: float, text: str) -> None:

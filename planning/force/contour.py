@@ -141,7 +141,7 @@ class ContourFollower:
         axes: of the plane in which the contour lies ``(2, 3)``: towards the contour, and of the first motion along it.
         q_start: joint angles at the start ``(n,)`` [rad].
         n_d: desired positions a call of ``horizon`` gives.
-        settings: what is wanted.
+        settings: settings of the run.
     """
 
     def __init__(self, robot: Robot, start: pin.SE3, axes: Array, q_start: Array, n_d: int,

@@ -54,8 +54,8 @@ def settle_and_air(way: float, pace: float) -> tuple[float, float]:
     at the end of the distance.
 
     Args:
-        way: before there can be a touch [m].
-        pace: with which it is passed [m/s].
+        way: distance to travel before contact is possible [m].
+        pace: speed over that distance [m/s].
     """
     air = float(np.clip(way / pace - SETTLES, WINDOW, AIR))
     return max(way / pace - air, SETTLES), air
@@ -152,8 +152,8 @@ class Alert:
     """How fast a rising force the motors detect that the force sensor does not show.
 
     Attributes:
-        cycles: over which they are averaged.
-        force: from which on it is none of their noise's [N].
+        cycles: number of cycles over which the motor torques are averaged.
+        force: force above which it is not explained by their noise [N].
         rate: largest rate of the force at which the arm retracts before the permitted force is exceeded [N/s].
     """
 
@@ -174,7 +174,7 @@ def soonest(scatter: float, least: float, most: float, T: float, air: float) -> 
     Args:
         scatter: standard deviation of a cycle's force, σ [N].
         least: force that the model may be wrong by [N].
-        most: that the surface may bear [N].
+        most: largest force that the surface permits [N].
         T: cycle [s].
         air: averaging time in the air, w₀ [s].
     """

@@ -67,7 +67,7 @@ class SurfaceFollower:
         reference: the reference path; ``up`` points out of the nominal surface.
         profile: the travel along it.
         n_d: desired positions a call of ``horizon`` gives.
-        settings: what is wanted.
+        settings: settings of the run.
         fusion: makes the filter over models with two directions, from the errors of the force that it estimates.
         lateral: whether a sensor shows the lateral deviation, too; without one the path is the reference's there.
     """

@@ -31,7 +31,7 @@ class ForceNoise:
     """Standard deviation of a force sample [N], estimated from successive samples.
 
     Args:
-        assumed: before any sample [N].
+        assumed: standard deviation assumed before any sample [N].
     """
 
     def __init__(self, assumed: float) -> None:

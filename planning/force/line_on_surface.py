@@ -46,7 +46,7 @@ class SightSettings:
         max_gap: distance that may be travelled without seeing the line [m].
         scatter: largest scatter of a field's points about the estimated line, moved and turned [m].
         doubt: time without a good field after which one field alone is not used any more [s].
-        agreement: how well two fields in a row then have to agree [m].
+        agreement: largest difference between two consecutive fields then [m].
         distance_ratio: assumed over true distance from camera to surface, 1 unless an error is to be studied.
     """
 
@@ -72,7 +72,7 @@ class LineOnSurface:
     """Predicts the line for the camera, and measures the deviation in both directions from its fields.
 
     Args:
-        follower: whose map is used and updated; made with ``lateral=True``.
+        follower: the surface follower whose map is used and updated; made with ``lateral=True``.
         camera: pose of the camera in the tool frame.
         settings: assumed errors.
         line_span: arc lengths of the reference between which the line is [m].

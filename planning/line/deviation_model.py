@@ -183,7 +183,7 @@ def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, cova
 
     Args:
         reference: the path.
-        s: where along it ``(m,)`` [m].
+        s: arc lengths along it ``(m,)`` [m].
         deviation: deviation that was seen there ``(m,)`` [m].
         covariance: of that ``(m, m)`` [m²].
     """
@@ -207,7 +207,7 @@ def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: f
 
     Args:
         reference: the path.
-        s: where along it ``(m,)``, ascending [m].
+        s: arc lengths along it ``(m,)``, ascending [m].
         deviation: deviation that was seen there ``(m,)`` [m].
         sigma: standard deviation of that [m].
         likeliest: one of ``SHAPES``.

@@ -23,7 +23,8 @@ class Reading:
         at: where the sensor looks, in the tool frame ``(3,)`` [m].
         value: how far the line is from there along ``direction`` [m]; NaN where the sensor sees none.
         variance: of ``value`` [m²].
-        direction: in which the sensor measures, in the tool frame, a unit vector ``(3,)``; None for across the path.
+        direction: direction in which the sensor measures, in the tool frame, a unit vector ``(3,)``; None for across
+            the path.
     """
 
     t: float

@@ -118,7 +118,7 @@ class Hypotheses:
 
     Args:
         fresh: creates a hypothesis from the prior alone.
-        gates: which values a hypothesis takes.
+        gates: which measured values a hypothesis accepts.
         confirm: measurements in a row that agree with one another until a map that begins anew takes over; 0 for never.
         moved: for each sensor that may be knocked, its entries of the state, and their standard deviations after that.
 

@@ -18,7 +18,7 @@ class Before:
     """The state before a measurement or a travel step ``(F, Q)``, and that measurement or step.
 
     Attributes:
-        t: when [s].
+        t: time of the measurement or step [s].
         stand: position of the state's window.
         x, P: state ``(n,)`` and covariance ``(n, n)``.
         then: the measurement or step.

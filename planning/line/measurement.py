@@ -56,7 +56,7 @@ class Fused:
     """The result of fusing a measurement.
 
     Attributes:
-        used: which values went in ``(m,)``, or ``(k,)`` where they are combinations.
+        used: which values were used ``(m,)``, or ``(k,)`` where they are combinations.
         innovation: values minus their predictions ``(m,)`` or ``(k,)`` [m].
         nis: normalised innovation squared of the values that went in; ``dof`` on average if all is consistent.
         dof: number of values that went in.

@@ -39,7 +39,7 @@ def smoothed(model: DeviationModel, passed: Sequence[Passed], kf: KalmanFilter, 
     stands = [step.stand for step in passed] + [stand]
     xs, Ps, *_ = kf.rts_smoother(
         np.array([step.x for step in passed] + [kf.x]), np.array([step.P for step in passed] + [kf.P]),
-        # Of the step that ends in each state.
+        # Transition matrices and noise of the steps that end in each state.
         [kf.F] + [step.F for step in passed], [kf.Q] + [step.Q for step in passed],
         inv=_inverse)
     mean, variance = np.full((2, len(s), model.directions), np.nan)

@@ -36,8 +36,8 @@ class Commanded(NamedTuple):
             first: cycle of the next command.
             past: accelerations of the deviation from the first cycle that is in it, up to where the plan begins
                 ``(p, directions)`` [m/s²].
-            planned: those of the plan, the last of which continues after its end ``(m, directions)`` [m/s²].
-            asked: those of the estimate that it follows ``(m, directions)`` [m/s²].
+            planned: accelerations of the plan, the last of which continues after its end ``(m, directions)`` [m/s²].
+            asked: accelerations of the estimate that the plan follows ``(m, directions)`` [m/s²].
         """
         correction = held(np.concatenate([past, planned]) - held(asked, before=len(past)), after=self.answer.after)
         rows = np.arange(len(correction)) + first - self.answer.before

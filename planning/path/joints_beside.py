@@ -40,7 +40,7 @@ class JointsBeside:
         """Displacements of the TCP [m, rad] in the base frame that show in a picture, per error of each joint.
 
         Args:
-            q: from which posture the picture was taken ``(n,)`` [rad].
+            q: joint angles at which the picture was taken ``(n,)`` [rad].
             s: arc length of the points in the picture [m].
 
         Returns:

@@ -49,7 +49,7 @@ class InverseKinematics:
 
         Args:
             target: pose of the TCP in the base frame.
-            q: where it starts ``(n,)`` [rad].
+            q: joint angles at its start ``(n,)`` [rad].
             wanted: angles that a redundant arm tends to ``(n,)`` [rad]; the start if None.
         """
         error, q = np.empty(6), np.ascontiguousarray(q, dtype=float)

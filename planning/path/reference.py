@@ -166,7 +166,7 @@ class ReferencePath:
         Args:
             points: ``(m, 3)`` [m].
             s_near: arc length about which to search [m]; it separates crossings of the path.
-            span: how far from there [m].
+            span: largest distance from there along the path [m].
         """
         s = feet_of(self._cubics, self._knot, points, s_near - span, s_near + span)
         frames = self.frames(s)

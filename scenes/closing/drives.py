@@ -18,7 +18,7 @@ from scenes.closing.loop import Form, Place
 DRIVES: Place = ("joint_controllers", 0)
 """What is called a change of the controllers, which are no effect."""
 _SHOWN_LATE, _SHOWN_LAG, _SHOWN_SHARE = 5e-4, 2e-3, 0.1
-"""Change of a lateness and of a lag [s], of a share of the velocity and of a gain, that is worth a word."""
+"""Smallest change of a delay and of a lag [s], of a share of the velocity and of a gain that is reported."""
 
 
 def controllers_anew(known: Model, moved: Recording, robot: Robot) -> Form | None:

@@ -262,7 +262,7 @@ def measured_places(recording: Recording, wanted: tuple[Array, Array], robot: Ro
     Args:
         recording: the measured recording.
         wanted: instants ``(M,)`` [s] one cycle apart, and joint angles at them ``(M, n)`` [rad].
-        robot, known, loads, doubt: as of ``tool_deviation``.
+        robot, known, loads, doubt: as in ``tool_deviation``.
     """
     t, q_d = wanted
     if all(axis in recording.columns for axis in "xyz"):

@@ -207,7 +207,7 @@ def recording_of(path: Path, columns: Path | None, topic: str | None, joints: st
 
     Args:
         path, columns: of the recording, and of a map of its columns.
-        topic, joints: which joint states of it, and names of joints separated by commas.
+        topic, joints: the ROS topic of its joint states, and names of joints separated by commas.
     """
     from ideal_robot.signals.recording import Recording
 

@@ -84,7 +84,7 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, 
     """Adds the sections of a diagnosis to a page: answer with picture, next steps, and the reasons folded.
 
     Args:
-        page: to which they are added.
+        page: the page to which they are added.
         diagnosis: the diagnosis.
         then: the next steps, each a sentence and its command; empty where the page has them already.
     """

@@ -24,7 +24,7 @@ def best_gains(scene: ForceScene, shared: Prepared, *, progress: Progress = sile
     """K_p [m/N per cycle] and K_d [m/N] with the smallest RMS force error [N] in this scene, and all trials.
 
     Args:
-        scene: in which they are searched.
+        scene: the scene in which they are searched.
         shared: of the scene.
         progress: called with the fraction done.
     """

@@ -139,9 +139,9 @@ def force_figures(scene: ForceScene, history: dict[str, Array], moving: list[flo
     """Errors of the force over the whole travel.
 
     Args:
-        scene: how hard was to be pressed.
+        scene: the scene, which says the desired force.
         history: ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms.
-        moving: when the tip travelled [s].
+        moving: times during which the tip travelled [s].
     """
     largest = float(history["normal"].max(initial=0.0))
     if len(moving) < 2:

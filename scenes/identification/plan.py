@@ -124,7 +124,7 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
         robot, motion: the arm, with its limits, and its motion.
         start: joint angles at rest ``(n,)`` [rad].
         t_ipo: cycle of the commands [s].
-        workspace: in which the reversals stay, smaller where they would not; anywhere if None.
+        workspace: region in which the reversals stay; the amplitude is reduced where they would not. Unlimited if None.
     """
     v_max, a_max = finite_limits(robot)
     t = np.asarray(np.arange(1, round(motion.period / t_ipo) + 1) * t_ipo, dtype=float)

@@ -283,7 +283,7 @@ class LineWorld:
         """How far the line is to the left of a point, in the surface [m]; NaN before its begin and behind its end.
 
         Args:
-            t: when [s].
+            t: time [s].
             at: the point in the tool frame ``(3,)`` [m].
         """
         pose = self.tool(t)

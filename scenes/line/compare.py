@@ -33,7 +33,7 @@ def best_gains(scene: LineScene, shared: Prepared, *, progress: Progress = silen
     """K_p and K_d of direct sensor feedback with the least mean error on this scene, and all trials.
 
     Args:
-        scene: in which they are searched.
+        scene: the scene in which they are searched.
         shared: from ``prepared`` of the scene.
         progress: called with the fraction done.
 
@@ -177,7 +177,7 @@ class Fastest(Summarised):
 
     Attributes:
         speed: the fastest one that keeps the tolerance [m/s].
-        tolerance: that 95 % of the way have to keep [m].
+        tolerance: largest error over 95 % of the path [m].
         predicted: 95 % of the error at that speed, as predicted from the other trials [m].
         trials: speed [m/s] and 95 % of the error [m] of each, in the order of the trials.
     """

@@ -23,8 +23,8 @@ class Pictures(Sensor):
     """Stores some of the camera's fields for the report.
 
     Args:
-        camera: whose fields.
-        follower: whose reference the line is drawn about.
+        camera: the camera whose fields are drawn.
+        follower: the follower along whose reference the line is drawn.
     """
 
     def __init__(self, camera: LineCamera, follower: LineFollower) -> None:

@@ -68,7 +68,7 @@ def line_task(known: KnownLine, method: SceneMethod, model: Model | None, gains:
 
     Args:
         known: the scene's data that are known beforehand.
-        method: how ``q_d`` becomes ``q_c``.
+        method: the method that computes ``q_c`` from ``q_d``.
         model: of the arm; None for a method that knows of none.
         gains: K_p, K_d of direct sensor feedback [1 per cycle].
         sensors: besides the camera.
@@ -98,7 +98,7 @@ def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elastic
 
     Args:
         known: the scene's data that are known beforehand.
-        method: how ``q_d`` becomes ``q_c``.
+        method: the method that computes ``q_c`` from ``q_d``.
         tool: bias and weight, from calibration.
         elasticity: of tip and surface, from calibration.
         gains: K_p [m/N per cycle], K_d [m/N] of direct feedback.

@@ -102,7 +102,7 @@ class ContactSensor(Sensor):
         """Sets the witness that checks the sensor's forces from now on.
 
         Args:
-            witness: that stops the arm where the sensor cannot be right.
+            witness: check by the motor torques that stops the arm where the sensor cannot be right.
             short: whether a cycle is too short for all that is done in one, see ``in_one``.
         """
         self.witness, self._in_two = witness, short

@@ -48,12 +48,12 @@ class ContactWitness:
     """Checks a force sensor's readings against what else is known of the contact.
 
     Args:
-        scene: how hard is pressed.
+        scene: the scene, which says the desired force.
         follower: receives the fused forces.
         force: the sensor, and its signs of life.
         elasticity: of tip and surface, and where that was touched, from calibration.
         model: of the arm, for the external force from its motor torques.
-        surface: where the path begins, and the normal there.
+        surface: the point where the path begins, and the normal there.
         unsure: whether the arm may not move as it is commanded, by which no sensor is to be judged then.
 
     Attributes:

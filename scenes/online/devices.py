@@ -56,7 +56,7 @@ def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterato
     """Opens and connects the arm; with RSI it waits for the controller.
 
     Args:
-        devices: where it is.
+        devices: addresses of the devices, the arm's among them.
         robot: with the cycle of the controller.
         answers_within: time in which its loop answers a command [s].
 

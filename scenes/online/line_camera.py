@@ -61,7 +61,7 @@ class LineCamera(Sensor):
     Args:
         known: camera model, appearance of the line, and its detector.
         sight: receives the fused fields.
-        history: where the tool was.
+        history: past poses of the tool.
         log: is written to.
         model: of the arm, whose effects contain the camera's errors; None for a method without a model.
         at_once: see ``Sensor``.

@@ -130,9 +130,9 @@ class SeenBefore:
     """Where whole pictures from above the reference showed the line, two points of each.
 
     Attributes:
-        detection: how it looks.
+        detection: the line's appearance, for its detection.
         s: arc lengths of the reference ``(2 k,)`` [m].
-        deviation: beside it there ``(2 k,)`` [m].
+        deviation: deviations from the reference there ``(2 k,)`` [m].
         pictures: all of them, with the poses of the tool.
         shape: the likeliest of ``SHAPES``; None where nothing was seen.
     """
@@ -244,8 +244,8 @@ def piece_map(reference: ReferencePath, at: float, before: SeenBefore = SeenBefo
     Args:
         reference: the reference path.
         at: arc length of it around which the piece lies [m].
-        before: where pictures showed the line before.
-        reach: how far from there it is kept [m].
+        before: places of the line in earlier pictures.
+        reach: distance from there up to which it is kept [m].
     """
     shape, length = before.shape or SHAPES[0]
     across = Expected(shape=shape, length=length)
@@ -316,7 +316,7 @@ class CalibrationView:
 
         Args:
             at: arc length of the place [m].
-            fields: that were taken.
+            fields: the fields that were taken.
             remedy: advice in ``SceneError`` where fewer than half of the fields showed the line.
         """
         if (count := len(self.observations)) < max(fields // 2, 3):

@@ -66,7 +66,7 @@ class SharedTime(Protocol):
 
 
 def belongs_until(arm: SharedTime, t: float) -> float:
-    """Latest instant [s] of sensor data that belong to the cycle that ended at ``t`` [s]: that of the nearest cycle."""
+    """Latest instant [s] of sensor data that belong to the cycle that ended at ``t`` [s]: half a cycle after ``t``."""
     return t + 0.5 * arm.t_ipo
 
 
@@ -77,9 +77,9 @@ def waits(arm: SharedTime, t: float, instant: float) -> bool:
     motion before would be wrong by as much as a force sensor resolves.
 
     Args:
-        arm: whose time it is.
+        arm: the arm by whose time the cycle ended.
         t: end of the last cycle that was read [s].
-        instant: when it was sensed [s].
+        instant: time at which they were sensed [s].
     """
     return belongs_until(arm, t) < instant <= arm.play_time(time.perf_counter()) + AHEAD
 
@@ -400,7 +400,7 @@ def rehearse(task: Cycled, robot: Robot, cycles: int, first: int = 0) -> Iterato
     Args:
         task: to be thrown away afterwards.
         robot: with the controller's cycle.
-        cycles: how many.
+        cycles: number of cycles.
         first: number of the first one.
     """
     T, q = robot.t_ipo, task.q_start

@@ -58,7 +58,7 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
 
     Args:
         scene: from ``load_cell``; its tables of the simulated world are not used.
-        devices: which ones.
+        devices: addresses of the devices.
         method: method that turns sensor data into commands; the scene's own if None.
         calibration: file of the camera's calibration; where it is not there yet the camera is calibrated by moving.
             None: the camera is taken as the scene has it.

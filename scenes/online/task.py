@@ -136,7 +136,7 @@ class Task:
     Args:
         follower: plans the desired path from the sensors' fused map.
         sensors: the more urgent first.
-        method: how ``q_d`` becomes ``q_c``.
+        method: the method that computes ``q_c`` from ``q_d``.
         feedforward: of the method.
         arm_angles: estimates arm angles behind the gears.
         log: is written to.
@@ -300,7 +300,7 @@ class Ahead:
     matter to a map over places ([L] 4.3).
 
     Args:
-        task: whose sensors fuse, and whose path is planned.
+        task: the task whose sensor data are fused and whose path is planned.
         arm: the connected arm.
 
     Attributes:

@@ -31,7 +31,7 @@ def changes(model: Model, found: Diagnosis, measured: Measured) -> tuple[tuple[G
     """Model changes that a diagnosis suggests, as groups to try, and those that are not tried, with reasons.
 
     Args:
-        model: that the diagnosis was given.
+        model: the model that was given to the diagnosis.
         found: in a recording of the arm.
         measured: the quantities that the arm measures.
     """
@@ -89,7 +89,7 @@ def covering(motion: Array, path: Array, robot: Robot) -> Array:
     Args:
         motion: joint angles ``(M, n)`` [rad].
         path: likewise ``(N, n)``, within the limits.
-        robot: whose limits hold.
+        robot: the robot whose limits hold.
     """
     low, high = path.min(axis=0), path.max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)

@@ -56,7 +56,7 @@ IN_TIME = dataclasses.replace(
     decides="Of controllers, how far the tool was from where it was wanted at the same instant, by the motors; of all "
     "else the path error, aligned, as far as the arm measures it.",
     axes=("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, time-matched."))
-"""The same where controllers are not the model's: there lateness counts."""
+"""The same where controllers are not the model's: there a delay counts as an error."""
 _DOUBT_OF_GEARS = 0.3
 """Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
 small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show

@@ -12,7 +12,7 @@ class Call(NamedTuple):
 
     Attributes:
         recording, robot: as typed.
-        model: that was given, or None.
+        model: the model that was given, or None.
         reading: options that say how the recording is read, as typed.
     """
 

@@ -327,7 +327,7 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
     Args:
         path: as written by ``write_replay``.
         robot: the arm.
-        recording: that the replay has to be of.
+        recording: the recording that the replay has to belong to.
 
     Raises:
         InputError: not such a file.

@@ -79,7 +79,7 @@ def evaluated(formula: str, x: Array) -> Array:
 
     Args:
         formula: an expression of ``x``, ``pi``, ``e``, numbers, ``+ - * / % **``, comparisons and ``FUNCTIONS``.
-        x: where ``(N,)``.
+        x: arguments of the function ``(N,)``.
 
     Raises:
         InputError: anything else in it, too long, too deep, or not finite somewhere.

@@ -237,7 +237,12 @@ def edge(length: float, radius: float) -> Shape:
 
 
 def shape_of(name: str, size: float) -> Shape:
-    """The figure ``name`` of a characteristic ``size`` [m]: edge, edge, diameter, side."""
+    """The figure ``name`` of a characteristic ``size`` [m].
+
+    Args:
+        name: ``edge``, ``iso9283``, ``triangle`` or ``circle``.
+        size: length of both sides, side of the square, side, or diameter [m].
+    """
     if name == "edge":
         return edge(size, 0.1 * size)
     return {"iso9283": iso9283, "triangle": triangle, "circle": circle}[name](size)

@@ -133,7 +133,7 @@ class ServedCamera:
         OSError: the address cannot be listened on.
 
     Attributes:
-        address: where it listens.
+        address: address at which it listens.
         left_out: pictures that were not drawn because others waited.
     """
 

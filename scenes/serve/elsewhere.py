@@ -73,7 +73,7 @@ class ArmElsewhere:
     """The motion of an arm as its controller reports it.
 
     Args:
-        robot: whose joints they are.
+        robot: the robot whose joints they are.
 
     Attributes:
         clock: how the controller's clock relates to this computer's.

@@ -129,7 +129,7 @@ class Viewer:
 
         Args:
             name: of the arrow in the scene's tree.
-            start: where it begins ``(3,)`` [m].
+            start: its first point ``(3,)`` [m].
             vector: from there to its point ``(3,)`` [m].
             colour: 0 to 255.
         """
@@ -225,7 +225,8 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     measured = np.isfinite(q).all(axis=1)
     rows, q = rows[measured], q[measured]
     if len(rows) < 2:
-        raise InputError("no two samples have all positions", file=recording.source, field="q_1")
+        raise InputError("fewer than two samples hold the positions of all joints; record those of all joints",
+                         file=recording.source, field="q_1")
     tool = arm.tool_places(q)
     name = next((prefix for prefix in ("q_d", "q_c") if recording.has(prefix)), None)
     wanted = tool if name is None else arm.tool_places(recording.joints(name, rows))

@@ -29,7 +29,7 @@ class Frame:
     Attributes:
         number: counts the pictures of its camera.
         stamp: mid-exposure by the camera's clock, or whatever its stamps mean; see ``FrameSource.stamps``  [s].
-        arrived: when it was read, by ``time.perf_counter`` [s].
+        arrived: time at which it was read, by ``time.perf_counter`` [s].
         image: gray values ``(height, width)``, uint8.
     """
 
@@ -144,7 +144,7 @@ class GenICamCamera:
     Args:
         acquirer: an ``ImageAcquirer`` of harvesters, or whatever has its ``start``, ``fetch``, ``stop``, ``destroy``.
         least_delay: from the camera's stamp (begin of exposure with most) to the picture's arrival, at least [s].
-        library: what made the acquirer, to be reset at the end.
+        library: the library object that made the acquirer; it is reset at the end.
 
     Raises:
         InputError: a pixel format that is not taken.

@@ -26,7 +26,7 @@ class LineAppearance:
     Attributes:
         width: on the surface [m].
         dark: darker than its surroundings.
-        contrast: how much darker or brighter [gray].
+        contrast: difference in brightness between line and surface [gray].
         places: of each picture two points of the line in the tool frame, in its direction away from the tool, on the
             surface ``(k, 2, 3)`` [m]; NaN where the picture did not show it.
     """

@@ -190,7 +190,7 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
     Args:
         lab: of ``lab_picture``.
         path: of ``paths`` for the same picture.
-        sections: how many, at equal distances.
+        sections: number of sections, at equal distances.
     """
     edge = not path.widths.any()
     points, halves = _even(path.points, 0.5 * path.widths, sections)
@@ -209,7 +209,7 @@ def measured_again(lab: Lab, strip: Strip, path: Path, sections: int) -> Strip:
         lab: of ``lab_picture``, of that picture.
         strip: the line as it is known.
         path: its course and widths there.
-        sections: how many, at equal distances.
+        sections: number of sections, at equal distances.
     """
     points, halves = _even(path.points, 0.5 * path.widths, sections)
     return replace(_measured(lab, points, halves, not path.widths.any())[0], features=strip.features)

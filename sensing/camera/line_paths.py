@@ -52,7 +52,7 @@ class Path:
     Attributes:
         points: pixels along it ``(n, 2)``.
         widths: across it ``(n,)`` [px]; 0 at an edge.
-        score: how much likelier than chance, as a logarithm.
+        score: logarithm of how much likelier the path is than chance.
     """
 
     points: Array
@@ -78,7 +78,7 @@ def paths(lab: Lab, *, widest: float, through: Array | None = None, within: floa
         lab: of ``lab_picture``.
         widest: of the lines, as a share of the picture's shorter side; 0 for single edges in the place of pairs.
         through: pixel ``(2,)`` that they pass; anywhere if None.
-        within: how near they come to it, beside half their width [px].
+        within: largest distance from it, in addition to half their width [px].
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0

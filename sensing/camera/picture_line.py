@@ -148,7 +148,7 @@ def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> No
     """Raises the InputError of ``detect_in_picture`` for a picture, a kind or a number of points that it refuses.
 
     Args:
-        picture, kind, points: as of ``detect_in_picture``.
+        picture, kind, points: as in ``detect_in_picture``.
     """
     if picture.ndim not in (2, 3) or picture.dtype != np.uint8 or min(picture.shape[:2]) < 32:
         raise InputError("expected a picture of 8 bits, gray or BGR, and at least 32 × 32 pixels", field="picture",
@@ -232,7 +232,7 @@ def measured(picture: NDArray[np.uint8], found: Likeliest, scale: float, points:
         picture: the whole one.
         found: in the reduced one.
         scale: of ``reduced``.
-        points: how many along the line.
+        points: number of points along the line.
     """
     lab = lab_picture(picture) if found.strips and (scale < 1.0 or points > SECTIONS) else None
     whole = tuple(strip if lab is None else _finer(lab, strip, scale, points) for strip in found.strips)

@@ -89,7 +89,7 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
     Args:
         wrenches: means at rest ``(N, 6)``.
         rotations: of the tool frame in the base frame, N of them ``(3, 3)``.
-        t: when they were taken ``(N,)`` [s].
+        t: times at which they were taken ``(N,)`` [s].
         sigma: standard deviation of their forces ``(3,)`` [N].
     """
     f, noise = wrenches[:, :3], float(np.sqrt(np.mean(np.square(sigma))))

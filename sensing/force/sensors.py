@@ -99,9 +99,9 @@ class ReadingCounts:
     """Numbers of readings from a sensor that were used, invalid or missing.
 
     Attributes:
-        readings: that were handed on.
-        lost: numbers that never came.
-        outdated: readings that came again, or behind a newer one.
+        readings: number of readings that were passed on.
+        lost: number of readings that never came.
+        outdated: readings that came twice or after a newer one.
         refused: packets that are none of the sensor's, or readings with numbers that are not finite.
         invalid: readings that the sensor itself says are wrong.
         last_invalid: the error that it reported.
@@ -120,7 +120,7 @@ class WrenchSource(Protocol):
 
     Attributes:
         clock: how the stamps relate to this computer's clock; ``read`` adds to it.
-        counts: what became of what it sent.
+        counts: numbers of its readings that were used, invalid or missing.
     """
 
     clock: ClockRelation

@@ -137,7 +137,7 @@ class JointTorques:
         """The torques' computation for an arm; None where PyBullet's joints get the drive torques unchanged.
 
         Args:
-            links, inertia: as of the class.
+            links, inertia: see the class.
         """
         return JointTorques(links, inertia) if inertia.any() or links.nv < links.njoints - 1 else None
 

@@ -50,7 +50,7 @@ class TorqueController:
         """The controller that a world sets; None for the cascade, which is compiled.
 
         Args:
-            robot, world, p: as of the class.
+            robot, world, p: see the class.
         """
         if world.controller == "cascade":
             return None

@@ -42,7 +42,7 @@ def drive_parameters(world: World, robot: Robot, specimen: Specimen) -> tuple[Ar
     Args:
         world: the true world.
         robot: data sheet of the arm.
-        specimen: which arm of the type it is.
+        specimen: number of the individual arm of the type.
 
     Raises:
         InputError: a balancer at an arm without a second joint that turns.

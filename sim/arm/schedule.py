@@ -33,7 +33,7 @@ class GainSchedule:
         """The schedule of a world; None where gains are constant.
 
         Args:
-            robot, world, p: as of the class.
+            robot, world, p: see the class.
         """
         return GainSchedule(robot, world, p) if world.gain_schedule else None
 

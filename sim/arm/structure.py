@@ -62,7 +62,7 @@ class Structure:
         """The structure of an arm; None where all of it is rigid.
 
         Args:
-            robot, model, world, step: as of the class.
+            robot, model, world, step: see the class.
         """
         rigid = not np.any(world.per_joint("link_bending", robot.n)) and np.isinf(world.column_stiffness)
         return None if rigid and world.thermal_expansion == 0.0 else Structure(robot, model, world, step)

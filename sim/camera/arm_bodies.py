@@ -136,7 +136,7 @@ def in_view(camera: CameraModel, windows: Sequence[Window], corners: Array, reac
     """Which of some boxes each window may show, as a mask ``(windows, M)``.
 
     Args:
-        camera: that looks at them.
+        camera: the camera that sees them.
         windows: of its picture.
         corners: of the boxes in the camera's frame ``(M, 8, 3)`` [m].
         reach: from their middles to their corners ``(M,)`` [m].

@@ -141,8 +141,8 @@ class ImageChain:
         """Gray values ``(height, width)`` of a window, from the light that falls on it.
 
         Args:
-            light: that reaches the pixels of a window ``(height, width)`` [gray], is overwritten.
-            window: where in the picture; as from ``around``.
+            light: light that reaches the pixels of a window ``(height, width)`` [gray]; it is overwritten.
+            window: the window's place in the picture, as ``around`` returns it.
             rng: draws the noise; None for none.
         """
         s = self._settings

@@ -108,7 +108,7 @@ class Lamp:
     """A lamp above the surface.
 
     Attributes:
-        place: where it is in the base frame ``(3,)`` [m].
+        place: position in the base frame ``(3,)`` [m].
         radius: of the luminous disc [m]; it gives the shadow its soft edge.
         falloff: share of the light from this lamp, which fades with distance; the rest is room light.
         shadow: share of the light that is missing in the arm's shadow.
@@ -184,7 +184,7 @@ def light(lamp: Lamp, points: Array, normal: Array, centre: Array, hidden: Array
         lamp: the lamp.
         points: on the surface ``(N, 3)`` [m].
         normal: of the surface ``(3,)``.
-        centre: where the light is measured ``(3,)`` [m].
+        centre: position at which the light is measured ``(3,)`` [m].
         hidden: share of the lamp that each place does not see ``(N,)``, as from ``covered``.
     """
     reference = lamp.place - centre
@@ -196,10 +196,10 @@ def mirrored(lamp: Lamp, points: Array, normal: Array, eye: Array, hidden: Array
     """Gray levels of the lamp's mirror image ``(N,)``: Blinn's form of Phong's law; it moves with the view.
 
     Args:
-        lamp: that is mirrored.
+        lamp: the lamp that is mirrored.
         points: on the surface ``(N, 3)`` [m].
         normal: of the surface ``(3,)``.
-        eye: where the camera is ``(3,)`` [m].
+        eye: position of the camera ``(3,)`` [m].
         hidden: as for ``light``.
     """
     return np.asarray(_blinn(points, lamp.place, normal, eye, lamp.glare, hidden))
@@ -240,7 +240,7 @@ def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: 
 
     Args:
         points: places ``(N, 3)`` [m].
-        lamp: where the lamp is ``(3,)`` [m].
+        lamp: position of the lamp ``(3,)`` [m].
         lamp_radius: its radius [m].
         ends: of the capsules' axes ``(M, 2, 3)`` [m].
         radii: of the capsules ``(M,)`` [m].

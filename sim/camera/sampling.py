@@ -77,7 +77,7 @@ def on_plane(x: Array, y: Array, R: Array, c: Array, up: Array, place: Array) ->
         x: of the rays, to the right ``(N,)``.
         y: downwards ``(N,)``.
         R: the camera's rotation in the base frame ``(3, 3)``.
-        c: where it is ``(3,)`` [m].
+        c: its position ``(3,)`` [m].
         up: the plane's normal ``(3,)``.
         place: one of the plane's points ``(3,)`` [m].
     """

@@ -55,7 +55,7 @@ class Ros2Arm:
         durable: whether the controllers require publishers that keep their messages (``transient_local``).
         delivered: see ``Delivered``; None delivers each at once.
         degrees: whether joint states are degrees, as of a node with an error.
-        prefix: before the names of the joints, as where two arms are described.
+        prefix: prefix of the joints' names, such as where one description holds two arms.
 
     Attributes:
         run: log of the run.

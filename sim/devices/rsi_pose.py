@@ -23,7 +23,7 @@ class PoseMotion:
     """Poses and corrections of one controller.
 
     Args:
-        robot: whose geometry the controller knows.
+        robot: the robot whose geometry the controller knows.
         tool: of the program, on the flange: X, Y, Z [mm], A, B, C [deg].
         base: of the program, in the frame of the arm's foot, alike.
         in_tool: whether corrections are given in the tool frame; otherwise in the base frame.

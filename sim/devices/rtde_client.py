@@ -72,7 +72,7 @@ class RtdeClient:
     Attributes:
         started: whether it gets data packages.
         outputs: names of the fields it gets.
-        rate: how often it wants them [Hz].
+        rate: rate at which it requests them [Hz].
         writes: names of the fields it may write.
     """
 

@@ -126,7 +126,7 @@ class RtdeController:
 
         Args:
             state: of the arm.
-            held: where it is commanded ``(n,)`` [rad].
+            held: commanded joint angles ``(n,)`` [rad].
             end: time until which to wait for an answer, by ``time.perf_counter`` [s]; without a commanding client only
                 ``run`` waits.
         """

@@ -48,8 +48,8 @@ class Carried(Protocol):
         """Notifies the device that the arm has moved from ``t0`` to ``t1`` [s].
 
         Args:
-            t0: since when, of the session [s].
-            t1: until when [s].
+            t0: start of that motion, in the session [s].
+            t1: end of that motion [s].
             host: this computer's time of ``t0`` [s].
         """
         ...

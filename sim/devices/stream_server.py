@@ -54,7 +54,7 @@ class StreamServer:
 
     Args:
         host, port: address of ours to listen on, and TCP port; 0 for any free one.
-        clock: what the device's clock shows now [s].
+        clock: function that returns the time that the device's clock shows now [s].
         kind, description: 1 for a camera, 3 for a sensor, and payload of the package that says so.
     """
 
@@ -247,9 +247,9 @@ class DeviceClock:
     """A clock of its own: shows ``offset`` [s] at ``begun``, and runs fast by ``drift`` (relative).
 
     Args:
-        offset: what it shows first [s].
+        offset: time that it shows first [s].
         drift: by how much it runs fast (relative).
-        begun: when, by ``time.perf_counter`` [s]; now if None.
+        begun: time of the start, by ``time.perf_counter`` [s]; now if None.
     """
 
     def __init__(self, offset: float, drift: float, begun: float | None = None) -> None:

@@ -43,7 +43,7 @@ def time_blocks(samples: int, most: int, fewest_rows: int) -> Blocks:
     """Cuts a recording into blocks of time.
 
     Args:
-        samples: how many there are.
+        samples: number of samples.
         most: blocks, at most.
         fewest_rows: of a block, at least.
     """
@@ -57,7 +57,7 @@ class Columns:
 
     Attributes:
         values: ``(N, k, m)``: ``m`` columns on ``k`` channels.
-        channels: which channels these are, ascending, from 0.
+        channels: numbers of the channels, ascending, from 0.
     """
 
     values: Array

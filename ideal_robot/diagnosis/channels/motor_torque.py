@@ -51,7 +51,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
 
     Args:
         recording: with ``q_i`` and ``tau_i``.
-        robot: whose URDF it is.
+        robot: the robot that the URDF describes.
         model: model of the prediction, whose parameters may change.
         cutoff: of the position filter [Hz], from the data if None.
         reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s]; from the noise of the position if

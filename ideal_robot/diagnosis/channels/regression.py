@@ -41,7 +41,7 @@ class Regression:
         signals: undecimated signals for effects.
         filtered: the filter that made them; its ``decimate`` brings columns of effects to the rows of ``y``.
         undecided: joints (from 1) with too little motion, and why.
-        domain: where its effects act.
+        domain: the domain in which its effects act.
         prismatic: which joints slide and are measured in N and m ``(n,)``.
         noise_floor: level of the measurement's own noise per channel ``(c,)``, in the used band.
         absent: channels (from 0) that the recording does not have; none of their samples is used.

@@ -31,7 +31,7 @@ class Kind:
 
     Attributes:
         period: of its Fourier series [s].
-        repeats: how many periods.
+        repeats: number of periods.
         harmonics: sines and cosines per joint.
         speed, acceleration: shares of the limits that may be used.
     """

@@ -79,7 +79,7 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
 
     Args:
         values, n: its content, and joints of the arm.
-        file: where it was read, for messages.
+        file: the file that it was read from, for messages.
 
     Raises:
         InputError: it is no such content, or of another arm or version.
@@ -190,7 +190,7 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
 
     Args:
         problem, robot: the motor torques, and the arm, whose speeds say where theta starts.
-        joints: that moved too little, from 1.
+        joints: numbers of the joints that moved too little, from 1.
     """
     regression = problem.regression
     level = np.maximum(regression.noise_floor, 1e-3 * np.std(regression.measured, axis=0) + 1e-9)

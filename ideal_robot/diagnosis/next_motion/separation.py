@@ -108,7 +108,7 @@ class Pair:
         weights: 1/σ² of each channel ``(c,)``.
         colour: number of samples worth one independent sample, as the noise is coloured.
         root: matrix ``R (p, k)``, the covariance of the model's parameters being ``R R'``, or None.
-        domain: in which they show.
+        domain: the domain in which the two differ.
     """
 
     cause: Cause

@@ -38,7 +38,7 @@ class Estimate:
     """Coefficients and parameters of a joint fit.
 
     Attributes:
-        effects: that were fitted, with their theta.
+        effects: the effects that were fitted, with their theta.
         change: of the model's parameters ``(p,)``.
         covariance: of the model's parameters ``(p, p)``.
         coefficients, std, theta_std: of each effect.
@@ -92,7 +92,7 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
     """The model with its parameter vector changed.
 
     Args:
-        model: where to start.
+        model: the model that is changed.
         change: to be added to the parameter vector ``(P,)`` (``ideal_robot.model.parametrisation``).
         covariance: of the new vector ``(P, P)``; that of the model if None.
     """

@@ -237,7 +237,7 @@ class Argument:
 
     Attributes:
         name, joint, channel: of the cause.
-        place: where it sits, in words.
+        place: its place in words.
         sets: every set that was weighed, the best first.
         when: the quarter of the time that holds most of the evidence for it.
         share: of the evidence in that quarter.

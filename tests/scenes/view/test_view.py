@@ -335,5 +335,5 @@ def test_positions_that_are_missing_are_not_shown() -> None:
     columns["q_2"] = np.where(np.arange(100) < 40, np.nan, columns["q_2"])
     assert len(replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"})).t) == 60
     columns["q_2"] = np.full(100, np.inf)
-    with pytest.raises(InputError, match="no two samples"):
+    with pytest.raises(InputError, match="fewer than two samples"):
         replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))
