@@ -93,7 +93,7 @@ def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Gene
         if len(pool) == candidates:
             break
     if not pool:
-        raise InputError("no configuration brings the flange within the limits of the site", field="limits")
+        raise InputError("no configuration brings the flange within the limits of the site; widen them", field="limits")
     total = np.zeros_like(pool[0][1])
     chosen: list[Array] = []
     promised = []

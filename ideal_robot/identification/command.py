@@ -184,7 +184,8 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     stretches = stretches_of(recordings, commands_of(recordings[0]), still=law.still)
     try:
         loop = loop_model(model, robot)
-        # Some controllers log received commands as finely as set points: the one that the loop predicts better is used.
+        # Finely logged commands are either the received ones or interpolated set points; the assumption with which the
+        # loop predicts better is used.
         early = sorted({0.0, law.reached_after(loop.t_ipo)})
         made = min(([_made_by_loop(s, loop, by) for s in stretches] for by in early), key=lambda rows: float(sum(
             np.sum((s.motion.q - own)[s.rows] ** 2) for s, own in zip(stretches, rows, strict=True))))

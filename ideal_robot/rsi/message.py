@@ -165,7 +165,7 @@ def _unsupported(received: dict[str, dict[str, str]], n: int, wanted: str | None
                 "the arm alone, its track or table fixed")
     if not most and any(set("XYZ") & set(attributes) for attributes in received.values()):
         if n != len(_POSE):
-            return (f"the controller takes corrections of the pose, which lead six axes; the robot has {n} joints: "
+            return (f"the controller takes corrections of the pose, which move six axes; the robot has {n} joints: "
                     "correct the axes, by AXISCORR in the place of POSCORR in the RSI context")
         return ("the controller takes a part of the corrections of the pose; all of X, Y, Z, A, B and C are needed in "
                 "one element")

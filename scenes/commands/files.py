@@ -432,7 +432,7 @@ def _expected(scene: Path, joints: int, draws: int) -> None:
     errors = [answer["control_error_mm"] for answer in answers if not answer.get("failure") and
               "control_error_mm" in answer]
     if not errors:
-        typer.echo("none of them reached the end of the line", err=True)
+        typer.echo(f"none of the {draws} individuals reached the end of the line; view one run", err=True)
         raise typer.Exit(1)
     mean, p95 = (np.array([error[key] for error in errors]) for key in ("mean", "p95"))
     typer.echo(f"to expect on this arm: {mean.mean():.3f} mm on average ({mean.min():.3f} to {mean.max():.3f}), 95 % "

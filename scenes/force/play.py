@@ -51,7 +51,7 @@ class ForceFigures:
         largest: true normal force over the whole run, touch-down included [N].
         least: during the travel [N].
         lost: time without contact during the travel [s].
-        travel: length of the travel [s].
+        travel: duration of the travel [s].
     """
 
     rms: float

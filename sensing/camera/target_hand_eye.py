@@ -155,7 +155,7 @@ def _target_in_camera(view: TargetView, camera: CameraModel) -> pin.SE3:
                                        np.ascontiguousarray(view.pixels, dtype=float), camera.K, camera.distortion,
                                        flags=cv2.SOLVEPNP_SQPNP)
     if not solved:
-        raise SensingError("a picture's points determine no pose of the target")
+        raise SensingError("the points of a picture determine no pose of the target; leave that picture out")
     turn, shift = cv2.solvePnPRefineLM(np.ascontiguousarray(view.points, dtype=float),
                                        np.ascontiguousarray(view.pixels, dtype=float), camera.K, camera.distortion,
                                        turn, shift)

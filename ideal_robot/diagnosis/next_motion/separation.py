@@ -120,7 +120,7 @@ class Pair:
     domain: Domain = MOTOR_TORQUE
 
     def products(self, made: Regression) -> Products:
-        """Cross-products over the motion of a regression, without its measured values."""
+        """Products of the pair's columns over the motion of a regression, without its measured values."""
         scale = np.sqrt(self.weights) * made.use
 
         def rows(candidate: Candidate, theta: tuple[float, ...]) -> Array:

@@ -255,7 +255,7 @@ class Argument:
 
     @property
     def nothing(self) -> WeighedSet:
-        """The set with nothing in its place."""
+        """The set without any cause in the argued place."""
         return next(s for s in self.sets if not s.name)
 
     @property
