@@ -25,10 +25,11 @@ from ideal_robot.diagnosis.statistics.problem import Estimate, Problem
 from ideal_robot.diagnosis.system import System
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect
 from ideal_robot.effects.base import Theta
+from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import RaisedBy
 from ideal_robot.estimate.gaussian import Joined, Posterior, joined, posterior, root_of
-from ideal_robot.estimate.noise import ColouredNoise
+from ideal_robot.estimate.noise import ColouredNoise, Free
 from ideal_robot.estimate.score import evidence
 from ideal_robot.progress import Progress, silent
 
@@ -101,7 +102,7 @@ class BestSet:
         self.choices: list[Candidate] = []
         self.fitted: Posterior
         self._model_alone: Posterior
-        self._explained: list[Array | None] | None = None
+        self._free: list[Free | None] | None = None
         self.system = System(r.y, r.W, r.use, self._weak(r.W) if problem.root is None else problem.root)
         if r.domain == MOTOR_TORQUE and problem.root is None and r.signals.n > 1:
             self._with_what_every_arm_has()
@@ -167,21 +168,22 @@ class BestSet:
             self.fitted, self._model_alone = self.system.posterior(self.keys), self.system.posterior(["W"])
             return
         fitted = self.system.posterior(self.keys)
-        for _ in range(1 if self._explained is not None else 2):
+        for _ in range(1 if self._free is not None else 2):
             self.system.with_noise(self.system.residual(self.keys, fitted.mean), self._smooth())
             fitted = self.system.with_levels(self.keys)
         self.fitted, self._model_alone = fitted, self.system.posterior(["W"])
 
-    def _smooth(self) -> list[Array | None]:
-        """Orthonormal smooth functions of each channel's own motion: what they explain may be a cause, so no noise."""
-        if self._explained is None:
-            self._explained = []
+    def _smooth(self) -> list[Free | None]:
+        """Smooth functions of each channel's own motion: what they explain may be a cause, so no noise."""
+        if self._free is None:
+            self._free = []
             for j in range(self.system.c):
                 use = self.regression.use[:, j]
-                self._explained.append(self._smooth_of(j, use) if use.any() else None)
-        return self._explained
+                self._free.append(Free.of(self._smooth_of(j, use)) if use.any() else None)
+        return self._free
 
     def _smooth_of(self, j: int, use: np.ndarray) -> Array:
+        """Orthonormal columns ``(N, k)`` of a channel."""
         signals = self.at_rows
         own = {f"{kind}_{j + 1}" for kind in ("q", "qd", "qdd", "load")} | {"t"} if j < signals.n else {"t"}
         columns = [np.ones((len(use), 1))]
@@ -207,7 +209,11 @@ class BestSet:
         """
         if candidate.key not in self._wide:
             spread = candidate.effect.spread(self.regression.signals, candidate.joint)
-            if spread is None:
+            if isinstance(candidate.effect, Unknown):
+                # A curve is nowhere larger than what its channel varies by; not where the motion hardly gets either.
+                level = float(self.measured_std[candidate.joint - 1])
+                self._wide[candidate.key] = WIDE * level * np.eye(self.system.groups[candidate.key].m)
+            elif spread is None:
                 # Measured positions are relative to their mean, while a cause may add a constant.
                 measured = np.array([max(channel.weight * float(self.system.total(j, key, key)[2].sum())
                                          for key in ("measured", "y")) if channel.weight else 0.0
@@ -532,9 +538,13 @@ class BestSet:
         for choice in self.choices:
             rest = [c for c in self.choices if c is not choice]
             for other in self.ranked(choice, 3):
-                if self.better([*rest, other.candidate], self.choices) > 1.0:
+                before = self.choices
+                if self.better([*rest, other.candidate], before) > 1.0:
                     self.take([*rest, other.candidate])
-                    return True
+                    # Noise and levels are those of each set, and both have to say so.
+                    if self.better(self.choices, before) > 0.0:
+                        return True
+                    self.take(before)
         return False
 
     # Curves without a cause.
@@ -621,7 +631,7 @@ class BestSet:
         """Coefficients of a set fitted together with the model's parameters, without their uncertainty."""
         for candidate in choices:
             self.add(candidate)
-        return self.problem.numbers(self.system, choices, uncertainty=False)
+        return self.problem.numbers(self.system, choices, uncertainty=False, more=self._precisions(choices))
 
     def estimate(self) -> Estimate:
         """Coefficients of the best set, fitted together with the model's parameters, with their uncertainty.

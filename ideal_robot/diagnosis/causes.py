@@ -23,7 +23,7 @@ from ideal_robot.errors import RaisedBy
 SHAPE = 0.5 * float(np.log(1000.0))
 """Nats that a physical shape costs: half the logarithm of how many values of it a recording of a thousand independent
 rows distinguishes (the asymptotic cost of one parameter)."""
-CURVE = 10.0
+CURVE = 20.0
 """Nats that a curve without a cause costs beside its place, for each signal that it is over: what the library has is
 likelier than what it lacks."""
 

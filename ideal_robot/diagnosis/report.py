@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ideal_robot.diagnosis.validation.result import (
 from ideal_robot.effects import SENSOR, TCP_POSITION, Effect, EffectParameter, FittedEffect, Signals, library
 from ideal_robot.effects.base import REACH
 from ideal_robot.effects.fitted import Unknown
+from ideal_robot.estimate.noise import ColouredNoise
 from ideal_robot.estimate.score import standard_error
 
 
@@ -206,20 +207,61 @@ def _without_needless(best: BestSet, gains: Callable[[list[list[Candidate]]], Se
 
 
 def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Candidate, ...]:
-    """Causes that leave the best set, for with them another recording is predicted worse than without them."""
+    """Causes that leave the best set, for with them another recording is predicted worse than without them.
+
+    That is the recording as a whole, or the channel of the cause; or any channel is predicted worse by the set than by
+    the model alone, with odds as of a cause.
+    """
     if validation is None:
         return ()
 
-    def error(choices: Sequence[Candidate]) -> float:
-        # In units of each channel's variation, as a cause may act on several.
-        left = rms(best.fit_of(choices).residual(validation), validation.use)
-        return float(np.sum((left / np.maximum(spread(validation.measured, validation.use), 1e-300)) ** 2))
-
     def gains(rests: list[list[Candidate]]) -> list[float]:
-        whole = error(best.choices)
-        return [error(rest) - whole for rest in rests]
+        by_channel = _densities(best, validation, rests).sum(axis=1)
+        own = [best.regression.channel_of(choice.joint) for choice in best.choices]
+        return [float(gain.sum() if j is None else min(gain.sum(), gain[j]))
+                for gain, j in zip(by_channel, own, strict=True)]
 
-    return _without_needless(best, gains, 0.0)
+    gone = _without_needless(best, gains, 0.0)
+    while best.choices and (worse := _predicted_worse(best, validation)) is not None:
+        # That leaves without which this channel is predicted best.
+        choice = best.taken_out(partial(_in_channel, best, validation, worse), np.inf)
+        gone += () if choice is None else (choice,)
+    return gone
+
+
+def _predicted_worse(best: BestSet, validation: Regression) -> int | None:
+    """The channel (from 0) of another recording that the model alone predicts better than the best set, most clearly.
+
+    None where no channel's odds are those of a cause.
+    """
+    odds = [WeighedSet("", 0, -float(gain.sum()), standard_error(gain)).moderated
+            for gain in _densities(best, validation, [[]])[0].T]
+    worst = int(np.argmax(odds))
+    return worst if odds[worst] > LEAST_ODDS else None
+
+
+def _in_channel(best: BestSet, validation: Regression, j: int, sets: Sequence[Sequence[Candidate]]) -> list[float]:
+    """See ``_densities``. Of a whole channel (from 0)."""
+    nats: list[float] = _densities(best, validation, sets)[:, :, j].sum(axis=1).tolist()
+    return nats
+
+
+def _densities(best: BestSet, validation: Regression, sets: Sequence[Sequence[Candidate]]) -> Array:
+    """Nats by which the best set predicts another recording better than each of some sets ``(S, B, c)``.
+
+    By blocks of time and channels, in units of the noise that the model alone leaves there.
+
+    Args:
+        best, validation: the search, and the recording's regression.
+        sets: of causes.
+    """
+    use, cut = validation.use, validation.blocks().cut
+    alone, whole = (best.fit_of(choices).residual(validation) for choices in ((), best.choices))
+    noise = [ColouredNoise.fit(r, used) for r, used in zip(alone.T, use.T, strict=True)]
+    level = np.array([max(each.variance[0] * max(each.colour, 1.0), 1e-300) for each in noise])
+    own = cut(whole**2 * use / level).sum(axis=1)
+    return np.array([0.5 * (cut(best.fit_of(other).residual(validation) ** 2 * use / level).sum(axis=1) - own)
+                     for other in sets])
 
 
 def _not_told_from_nothing(best: BestSet) -> tuple[Candidate, ...]:

@@ -92,21 +92,36 @@ def _searched(case: Case, found: Findings, start: Sequence[Candidate]) -> Findin
 def _finished(case: Case, found: Findings) -> Findings:
     """The findings with the motor torques' result, and with the other recording's regression where there is one.
 
-    Before it is made, friction that would drive the arm is taken out of the model.
+    Before it is made, friction that would drive the arm is taken out of the model; anew where causes leave, for what
+    they made drive may brake without them.
     """
-    found = _with_braking_friction(case, found)
-    validation = None
-    if case.validate is not None:
-        validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
-                                            reversal_width=found.reversal_width)
-        if found.taken_for and case.given is not None:
-            validation = known(case.given, case.robot, validation, case.validate, found.pushed).regression
-        if found.fixed:
-            W = validation.W.copy()
-            W[:, :, list(found.fixed)] = 0.0
-            validation = replace(validation, W=W)
-    domain = DomainDiagnosis.of(found.best_set, validation, case.given is not None, case.recording.hash)
-    return replace(found, domains=(domain,), validation=validation)
+    gone: tuple[Candidate, ...] = ()
+    perhaps: tuple[Candidate, ...] = ()
+    while True:
+        braked = _with_braking_friction(case, found)
+        validation = _validation(case, braked)
+        domain = DomainDiagnosis.of(braked.best_set, validation, case.given is not None, case.recording.hash)
+        gone, perhaps = (*gone, *domain.gone), (*perhaps, *domain.perhaps)
+        if not (braked.fixed and (domain.gone or domain.perhaps)):
+            break
+        found.best_set.take(list(domain.choices))
+    return replace(braked, domains=(replace(domain, gone=gone, perhaps=perhaps),), validation=validation)
+
+
+def _validation(case: Case, found: Findings) -> Regression | None:
+    """The regression of the other recording's torques, where there is one."""
+    if case.validate is None:
+        return None
+    validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
+                                        reversal_width=found.reversal_width)
+    if found.taken_for and case.given is not None:
+        validation = known(case.given, case.robot, validation, case.validate, found.pushed).regression
+    validation = replace(validation, signals=replace(validation.signals, elsewhere=found.problem.regression.signals.t))
+    if found.fixed:
+        W = validation.W.copy()
+        W[:, :, list(found.fixed)] = 0.0
+        validation = replace(validation, W=W)
+    return validation
 
 
 def _with_braking_friction(case: Case, found: Findings) -> Findings:

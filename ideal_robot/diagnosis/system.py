@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns, time_blocks
 from ideal_robot.diagnosis.channels.regression import FEWEST_ROWS, MOST_BLOCKS
 from ideal_robot.estimate.gaussian import Posterior, posterior
-from ideal_robot.estimate.noise import ColouredNoise, without_kicks
+from ideal_robot.estimate.noise import ColouredNoise, Free, without_kicks
 
 
 @dataclass
@@ -111,28 +111,25 @@ class System:
 
     # Noise of the channels.
 
-    def with_noise(self, residual: Array, explained: Sequence[Array | None] | None = None) -> None:
+    def with_noise(self, residual: Array, free: Sequence[Free | None] | None = None) -> None:
         """Sets the noise of each channel from a residual.
 
         Args:
             residual: ``(N, c)``, in the channels' units.
-            explained: of each channel orthonormal columns ``(N, k)`` without noise, whose directions are removed from
-                the residual.
+            free: of each channel columns that may hold causes; the part of the residual along them is no noise.
         """
         self._forget_sums()
         for j, channel in enumerate(self.channels):
             if not channel.use.any():
                 continue
             r = np.where(channel.use, residual[:, j], 0.0)
-            own = None if explained is None else explained[j]
+            own = None if free is None else free[j]
             if own is not None:
-                r = r - own @ (own.T @ r)
+                r = r - own.columns @ (own.columns.T @ r)
             noise = ColouredNoise.fit(r, channel.use)
             kept = without_kicks(noise.whiten(r, channel.use), channel.use)
-            if not np.array_equal(kept, channel.use):
-                channel.use = kept
-                noise = ColouredNoise.fit(r, kept)
-            self.channels[j] = _Channel(channel.use, noise)
+            noise = noise if np.array_equal(kept, channel.use) else ColouredNoise.fit(r, kept)
+            self.channels[j] = _Channel(kept, noise if own is None else ColouredNoise.beside(r, kept, own))
 
     def take_noise(self, noise: Sequence[ColouredNoise]) -> None:
         """Sets a given noise for each channel, unless it has that already."""

@@ -232,7 +232,8 @@ class Effect(ABC):
             if theta[0] == 0.0:
                 return []
             (low, high), (near, far) = bounds[0], sorted((theta[0] / REACH, theta[0] * REACH))
-            return [(max(low, near), min(high, far))]
+            # A start of another model may lie far outside.
+            return [(max(low, near), min(high, far))] if max(low, near) < min(high, far) else []
         return bounds
 
     @abstractmethod

@@ -97,7 +97,12 @@ class Unknown(Effect):
 
     def basis(self, signals: Signals) -> Array:
         """Basis functions ``(N, m)`` of the signals."""
-        values = [signal_of(signals, name) for name in self.depends_on]
+        if self.depends_on == ("t",):
+            return signals.over_time(lambda t: self._basis([t]))
+        return self._basis([signal_of(signals, name) for name in self.depends_on])
+
+    def _basis(self, values: list[Array]) -> Array:
+        """See ``basis``. Of the values of each signal ``(N,)``."""
         if self.frequency:
             inside = _inside(values[0], self.knots[0], self.margin)
             phase = self.frequency * values[0]

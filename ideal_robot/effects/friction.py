@@ -338,7 +338,7 @@ class WarmingEffect(Effect):
             signals, joint, theta: as in ``columns``, theta being ``T`` [s].
         """
         if theta[0] > 0.0:
-            return np.asarray(1.0 - np.exp(-signals.t / theta[0]))
+            return signals.over_time(lambda t: 1.0 - np.exp(-t / theta[0]))
         if signals.temperature is None:
             return np.zeros_like(signals.t)
         return np.asarray(signals.temperature[:, joint - 1] - signals.temperature[0, joint - 1])

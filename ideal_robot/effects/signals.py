@@ -149,6 +149,8 @@ class Signals:
         sliding: direction of sliding ``(N, n)``, -1 to 1, of joints whose friction in the model builds up over a
             displacement, NaN for others; None where no model says so.
         tool: mounting point of tools in the frame of the last link ``(3,)`` [m]; None where unknown.
+        elsewhere: times ``(K,)`` [s] of the recording that effects were fitted to, where this is another one; None
+            where it is the same.
     """
 
     t: Array
@@ -173,6 +175,7 @@ class Signals:
     dry: Array | None = None
     compliance: Array | None = None
     tool: Array | None = None
+    elsewhere: Array | None = None
 
     @property
     def n(self) -> int:
@@ -183,6 +186,19 @@ class Signals:
     def dt(self) -> float:
         """Sampling interval [s]; 1 for a single sample."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
+
+    def over_time(self, function: Callable[[Array], Array]) -> Array:
+        """A function of the time since a recording began ``(N, …)``.
+
+        Drift belongs to its recording. Of another one nobody knows when in it that began: there is its mean.
+
+        Args:
+            function: of times ``(K,)`` [s], with values ``(K, …)``.
+        """
+        if self.elsewhere is None:
+            return np.asarray(function(self.t))
+        mean = np.mean(function(self.elsewhere), axis=0)
+        return np.broadcast_to(mean, (len(self.t), *np.shape(mean))).copy()
 
     @cached_property
     def across(self) -> Array | None:

@@ -18,10 +18,32 @@ from ideal_robot.arrays import Array
 
 ORDER = 4
 """Order of the autoregression. Orders 1 to 10 name the same causes in 48 recordings of a fourth engine."""
+PASSES = 2
+"""Of expectation and maximisation, from white noise. Where columns leave few rows, more of them follow what the noise
+extrapolates itself."""
 _LARGEST_REFLECTION = 0.98
 """Of a partial autocorrelation: noise that lasts longer is drift, of which a recording holds too few periods."""
 _OUTLIER = 5.0
 """Innovations beyond so many robust standard deviations are kicks: once in 1.7 million of a normal distribution."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """Columns that may hold anything, of which no noise is to be estimated.
+
+    Attributes:
+        columns: orthonormal ``(N, k)``, zero in rows that are not used.
+        products: with themselves at lags 0 to p ``(k, k)`` each.
+    """
+
+    columns: Array
+    products: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, columns: Array, order: int = ORDER) -> Free:
+        """Orthonormal columns ``(N, k)``, for noise of an order."""
+        pairs = (_apart(columns, lag) for lag in range(order + 1))
+        return cls(columns, tuple(later.T @ earlier for later, earlier in pairs))
 
 
 @dataclass(frozen=True)
@@ -45,13 +67,50 @@ class ColouredNoise:
             use: rows of it that are used ``(N,)``.
             order: of the autoregression.
         """
+        values = np.where(use, residual, 0.0)
+        return cls._of_products(np.array([np.vdot(*_apart(values, lag)) for lag in range(order + 1)]), use)
+
+    @classmethod
+    def beside(cls, residual: Array, use: np.ndarray, free: Free) -> ColouredNoise:
+        """The noise that a residual shows, of which columns with free coefficients may hold anything.
+
+        What they take of the noise is not in what they leave. They are mostly slow: without it noise would be smaller
+        where it is slow than where it is fast, and whatever is slow would seem certain. So what they take on average is
+        added, by the covariance of their coefficients: the restricted likelihood, by expectation and maximisation
+        from white noise.
+
+        Args:
+            residual: of the channel ``(N,)``, in its unit; what of it is along the columns makes no difference.
+            use: rows of it that are used ``(N,)``.
+            free: the columns.
+        """
+        columns, lags = free.columns, range(len(free.products))
+        values = np.where(use, residual, 0.0)
+        values = values - columns @ (columns.T @ values)
+        level = max(float(values @ values) / max(float(use.sum()) - columns.shape[1], 1.0), 1e-300)
+        noise = cls.of_autocovariance(level * (np.arange(len(lags)) == 0))
+        along = [later.T @ before + earlier.T @ after for (later, earlier), (after, before) in
+                 ((_apart(columns, lag), _apart(values, lag)) for lag in lags)]
+        for _ in range(PASSES):
+            precision, across = np.zeros_like(free.products[0]), np.zeros(columns.shape[1])
+            for weight, products, own in zip(noise.band, free.products, along, strict=True):
+                precision += weight * (products + products.T)
+                across += weight * own
+            precision[np.diag_indices(len(precision))] *= 1.0 + 1e-9
+            covariance = np.linalg.inv(precision)
+            left = values - columns @ (covariance @ across)
+            noise = cls._of_products(np.array([np.vdot(*_apart(left, lag)) + np.vdot(covariance, free.products[lag])
+                                               for lag in lags]), use)
+        return noise
+
+    @classmethod
+    def _of_products(cls, products: Array, use: np.ndarray) -> ColouredNoise:
+        """The noise of which used rows have these sums of products at lags 0 to p ``(p + 1,)``."""
         used = use.astype(float)
-        values, N = np.where(use, residual, 0.0), len(residual)
-        pairs = np.array([(used[k:] * used[: N - k]).sum() for k in range(order + 1)])
-        products = np.array([(values[k:] * values[: N - k]).sum() for k in range(order + 1)])
+        pairs = np.array([np.vdot(*_apart(used, lag)) for lag in range(len(products))])
         # Few pairs of samples at a lag determine its correlation poorly, so it is shrunk towards zero.
-        covariance = products / np.maximum(pairs + order * (np.arange(order + 1) > 0), 1.0)
-        return cls.of_autocovariance(covariance)
+        order = len(products) - 1
+        return cls.of_autocovariance(products / np.maximum(pairs + order * (np.arange(order + 1) > 0), 1.0))
 
     @classmethod
     def of_autocovariance(cls, covariance: Array) -> ColouredNoise:
@@ -82,6 +141,14 @@ class ColouredNoise:
     def colour(self) -> float:
         """Number of rows worth one independent row in a slow mean: spectrum at zero over the variance."""
         return float(self.variance[-1] / self.variance[0] / max(1.0 - self.predictors[-1].sum(), 1e-3) ** 2)
+
+    @property
+    def band(self) -> Array:
+        """Weights ``w (p + 1,)`` of the precision of rows, Σ_k w_k (S_k + S_k') with shifts S_k by k rows."""
+        filtered = np.concatenate([[1.0], -self.predictors[-1]])
+        band = np.array([np.vdot(*_apart(filtered, lag)) for lag in range(len(filtered))]) / self.variance[-1]
+        band[0] *= 0.5
+        return band
 
     def autocovariance(self, lags: int) -> Array:
         """Autocovariance ``(lags + 1,)`` of the noise, in the square of its unit (Yule and Walker)."""
@@ -115,6 +182,11 @@ class ColouredNoise:
         out = np.zeros((len(values), columns.shape[1]))
         out[used] = result
         return out if values.ndim > 1 else out[:, 0]
+
+
+def _apart(values: Array, lag: int) -> tuple[Array, Array]:
+    """Rows ``(N - lag, …)`` and those before them by a lag."""
+    return values[lag:], values[: len(values) - lag]
 
 
 def position_in_stretch(use: np.ndarray) -> np.ndarray:

@@ -151,6 +151,28 @@ def test_an_effect_is_added_only_if_it_transfers_to_the_other_recording(phase, t
         assert diagnosis.channels[0].rms_after < 1.02 * diagnosis.channels[0].rms_before
 
 
+def test_drift_of_one_recording_is_none_of_another(tmp_path):
+    robot = arm(tmp_path)
+    t, q, _, tau = strokes()
+    drifting = Recording.from_arrays(t, q=q, tau=tau + 2.0 * np.sin(2.0 * np.pi * t / t[-1])[:, None])
+    alone = diagnose(drifting, robot)
+    assert [u.depends_on for u in alone.unknown] == [("t",)]
+    diagnosis = diagnose(drifting, robot, validate=Recording.from_arrays(t, q=q, tau=tau))
+    assert diagnosis.channels[0].rms_after < 1.02 * diagnosis.channels[0].rms_before
+
+
+@needs_data
+@pytest.mark.slow
+@pytest.mark.parametrize(("folder", "one", "other"), [
+    ("panda", "panda_a", "panda_b"), ("panda", "panda_b", "panda_a"), ("tiago", "tiago_a", "tiago_b"),
+    ("tiago", "tiago_b", "tiago_a")])
+def test_no_channel_of_another_recording_is_predicted_worse(folder, one, other):
+    robot = Robot.load(DATA / folder / f"{folder}.urdf")
+    diagnosis = diagnose(Recording.read(DATA / folder / f"{one}.parquet"), robot,
+                         validate=Recording.read(DATA / folder / f"{other}.parquet"))
+    assert all(c.rms_after <= 1.06 * c.rms_before for c in diagnosis.channels)
+
+
 @needs_data
 def test_emps_asymmetry_is_found_without_being_told():
     robot = Robot.load(DATA / "emps" / "emps.urdf")

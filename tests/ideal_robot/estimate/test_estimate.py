@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg, signal, stats
 
 from ideal_robot.estimate.gaussian import joined, posterior
-from ideal_robot.estimate.noise import ColouredNoise, position_in_stretch, without_kicks
+from ideal_robot.estimate.noise import ColouredNoise, Free, position_in_stretch, without_kicks
 from ideal_robot.estimate.score import evidence
 
 
@@ -125,3 +125,26 @@ def test_kicks_are_no_noise() -> None:
     values, use = rng.normal(size=2000), np.ones(2000, dtype=bool)
     values[[100, 700]] = 40.0, -25.0
     assert np.flatnonzero(~without_kicks(values, use)).tolist() == [100, 700]
+
+
+def smooth(rows: int, count: int) -> Free:
+    """The slowest cosines of some rows, orthonormal."""
+    return Free.of(np.linalg.qr(np.cos(np.pi * np.arange(count) * np.linspace(0.0, 1.0, rows)[:, None]))[0])
+
+
+@pytest.mark.parametrize(("rows", "count"), [(230, 46), (700, 100)])
+def test_noise_is_not_smaller_where_columns_took_it(rows: int, count: int) -> None:
+    """Fitted to what slow columns leave, white noise had a quarter to a tenth of its power where it is slow."""
+    rng, free, use = np.random.default_rng(1), smooth(rows, count), np.ones(rows, dtype=bool)
+    noises = rng.normal(size=(20, rows))
+    found = [ColouredNoise.beside(noise + free.columns @ rng.normal(size=count), use, free) for noise in noises]
+    assert np.median([noise.colour for noise in found]) == pytest.approx(1.0, abs=0.1)
+    assert np.median([noise.std for noise in found]) == pytest.approx(1.0, abs=0.05)
+    taken = [ColouredNoise.fit(noise - free.columns @ (free.columns.T @ noise), use).colour for noise in noises]
+    assert np.median(taken) < 0.3
+
+
+def test_noise_that_is_fast_is_small_where_it_is_slow() -> None:
+    rng, free, use = np.random.default_rng(2), smooth(4000, 60), np.ones(4000, dtype=bool)
+    fast = signal.lfilter([1.0], [1.0, 0.8], rng.normal(size=4000))
+    assert ColouredNoise.beside(fast, use, free).colour == pytest.approx(0.2 / 1.8, rel=0.2)
