@@ -286,7 +286,12 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
 
 
 def next_steps(source: str, found: int) -> list[tuple[str, str]]:
-    """The next steps after a detection, each a sentence and its command."""
+    """The next steps that a report proposes, each a sentence and its command.
+
+    Args:
+        source: the first picture or folder searched.
+        found: number of pictures with a line.
+    """
     if found:
         return [("Calibrate the camera, from pictures of a checkerboard.",
                  "ideal-robot calibrate poses.csv --board 9x6 --square 20"),

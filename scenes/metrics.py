@@ -200,7 +200,7 @@ class ControlError:
         return cls(float(size.mean()), float(np.quantile(size, 0.95)), float(size.max()), *series)
 
     def json_mm(self) -> dict[str, float]:
-        """The three figures in millimetres."""
+        """``mean``, ``p95`` and ``max`` of the absolute distance in millimetres."""
         return {"mean": 1e3 * self.mean, "p95": 1e3 * self.p95, "max": 1e3 * self.max}
 
 

@@ -1,4 +1,4 @@
-"""Differences between a scene's world and its model, and worlds in which the loop cannot be closed."""
+"""Differences between a scene's world and its model, and worlds for which ``close-loop`` is refused."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ _REASONS = {
     "damping": "no effect of the library is a gear's damping",
     "inertia_tolerance": 'all masses at once are no effect; give the scene an individual and model = "own"',
 }
-"""Why a world with this key cannot be closed."""
+"""Why ``close-loop`` refuses a world with this key."""
 
 
 def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     """Effects by which the scene's world differs from the default one, with their joints (0: all ``n``).
 
-    Raises InputError, with key and reason, for a world in which the loop cannot be closed or that has no such effect.
+    Raises InputError, with key and reason, for a world that ``close-loop`` refuses or that has no such effect.
     """
     result = effects_of_world(scene, n)
     if not result:

@@ -56,7 +56,7 @@ class StreamError(SensingError):
 
 
 class Kind(IntEnum):
-    """Kinds of packages."""
+    """Number in a package's header that says what the payload is."""
 
     CAMERA = 1
     FIELD = 2

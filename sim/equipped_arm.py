@@ -85,7 +85,7 @@ class Knock:
 
     @classmethod
     def of(cls, table: Any) -> Knock | None:
-        """The disturbance in the camera's table of a scene file; None for none."""
+        """The disturbance of the mounting given by the camera's table of a scene file; None where it gives none."""
         return cls(table.knock_s, math.radians(table.knock_deg)) if table.knock_deg else None
 
 

@@ -42,9 +42,10 @@ class TorqueRipple(Effect):
         return [(float(order),) for order in np.linspace(low, high, count)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Bounds of theta: from a few periods in the range to what the slowest quarter's sampling resolves.
+        """Bounds of theta, the order: from a few periods in the range to what the samples of slow motion resolve.
 
-        Where the motion is too fast for the band, the wave is removed from columns and residual alike.
+        Slow is the speed that a quarter of the moving samples do not exceed. Where the motion is so fast that the
+        ripple's frequency is above the band, it is removed from columns and residual alike.
         """
         span = signals.span(joint)
         speed = np.abs(signals.qd[:, joint - 1])

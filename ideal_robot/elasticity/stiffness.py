@@ -55,7 +55,7 @@ def least_squares(W: Array, Y: Array, *, lag: int = 0) -> LeastSquares:
         raise InputError("a parameter has no influence on the recording")
     U, s, Vt = np.linalg.svd(W / scale, full_matrices=False)
     if s[-1] < 1e-12 * s[0]:
-        raise InputError("the recording does not excite all parameters")
+        raise InputError("the recording does not excite all parameters; record pushes in more directions and postures")
     chi = Vt.T @ (U.T @ Y / s) / scale
     rho = Y - W @ chi
     inverse = (Vt.T / s**2) @ Vt / np.outer(scale, scale)

@@ -54,7 +54,7 @@ class Posterior:
         return np.sqrt(np.diag(self.covariance))
 
     def solve(self, right: Array) -> Array:
-        """``A⁻¹ right`` for ``(P,)`` or ``(P, k)``."""
+        """Product of the covariance and ``right``, ``(P,)`` or ``(P, k)``."""
         scale = self.scale if right.ndim == 1 else self.scale[:, None]
         return np.asarray(scale * linalg.cho_solve((self.root, True), scale * right))
 

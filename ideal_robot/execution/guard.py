@@ -216,7 +216,7 @@ class Guard:
 
     @property
     def touching(self) -> bool | None:
-        """Whether any watch finds contact; None where none does and one does not know."""
+        """Whether any watch finds contact; None where none does and at least one cannot determine it."""
         felt = [watch.touching for watch in self.watches]
         return True if True in felt else None if None in felt else False
 

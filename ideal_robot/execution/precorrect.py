@@ -131,12 +131,12 @@ def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str,
     longest, worst = gaps[np.argmax(steps[gaps])], gaps[np.argmax(off)]
     unit = one_unit(robot.units("mrad"))
     if off.max() > UNSURE:
-        raise InputError(f"samples are missing for {steps[worst]:.4g} s after t = {t[worst]:.6g} s, and the others "
-                         f"tell the way there to {1e3 * off.max():.2g} {unit} only, {1e3 * UNSURE:g} are asked for; "
-                         "give samples in between, or correct the pieces one by one", file=file, field="t",
+        raise InputError(f"samples are missing for {steps[worst]:.4g} s after t = {t[worst]:.6g} s, and "
+                         f"interpolation is uncertain by {1e3 * off.max():.2g} {unit} there, at most {1e3 * UNSURE:g} "
+                         "are allowed; give samples in between, or correct the parts one by one", file=file, field="t",
                          value=float(t[worst + 1]))
     return (f"bridged: {len(gaps)} times samples of the path are missing, for {steps[longest]:.4g} s at most after t = "
-            f"{t[longest]:.6g} s; the others tell the way there to {1e3 * off.max():.2g} {unit}",)
+            f"{t[longest]:.6g} s; interpolation is uncertain by {1e3 * off.max():.2g} {unit} there",)
 
 
 def _between(t: Array, q_d: Array, grid: Array, robot: Robot, file: str | None) -> Array:

@@ -450,7 +450,7 @@ class Process:
             self._pipe.send((cycle, rows))
 
     def reports(self) -> list[Report]:
-        """The reports since the last call, at least one; raises FciError where the motion has ended."""
+        """Waits for a report and returns all since the last call; raises FciError where the motion has ended."""
         reports: list[Report] = [self._told(_SILENCE)]
         while self._pipe.poll():
             reports.append(self._told(0.0))
@@ -502,7 +502,7 @@ class Here:
         self._answering.write()
 
     def reports(self) -> list[Report]:
-        """The reports since the last call, at least one; see ``Process``."""
+        """Waits for a report and returns it in a list; see ``Process.reports``."""
         while (report := self._answering.read()) is None:
             self._answering.write()
         return [report]

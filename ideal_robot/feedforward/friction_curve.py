@@ -186,7 +186,7 @@ class FrictionCurve:
         now, plans = state.plans[: len(measured) + 1], state.plans[len(measured) :]
         errors = [q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
                   for q, plan in zip(measured, now[1:], strict=True)]
-        # Errors are clipped, so that a plan without any following is not preferred.
+        # A plan without positions has infinite errors: clipped, they can be summed, and are worse than any other.
         strayed = state.strayed + np.square(np.clip(errors, -STRAY, STRAY)).sum(axis=0)
         if not np.abs(errors).max() < STRAY:
             # The first large error resets the estimates of this motion.

@@ -93,7 +93,8 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
         limits: of commands; None for none.
     """
     if len(q_c) != law.length:
-        raise InputError(f"the learning law is made for {law.length} cycles", field="q_c", value=len(q_c))
+        raise InputError(f"expected commands of {law.length} cycles, for which the learning law is made", field="q_c",
+                         value=len(q_c))
 
     def criterion(error: Array) -> float:
         return float(np.sqrt(np.mean(error**2)))

@@ -143,8 +143,8 @@ class Setting:
         q_d: the path at the cycles ``(N, n)`` [rad], where it is known beforehand.
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
         practice: runs on the arm, where there is an arm.
-        progress: called with the share of the making that is done.
-        friction: as a motion like the job's has shown it, in place of the model's; the model's if None.
+        progress: called with the fraction of the method's preparation that is done.
+        friction: identified from a motion like the job's; None for the friction of the model.
     """
 
     robot: Robot

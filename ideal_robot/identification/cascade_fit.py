@@ -514,7 +514,7 @@ class _Stretches:
 
     def _solved(self, lags: Array, channel: _Channel, lagging: bool) -> tuple[Array, Array, float]:
         """Products ``(k,)``, the matrix that makes their columns ``(c, k)``, and the share of the squares left [1]."""
-        # A search starts with a rough time constant of the low-pass.
+        # Columns depend neither on ``low``, where a search starts, nor on ``integrated``: the key leaves them out.
         if (key := (*lags[:2], *channel._replace(low=0.0, integrated=0.0))) != self._kept:
             H = [part.columns(lags[:2], channel) for part in self._parts]
             self._kept = key

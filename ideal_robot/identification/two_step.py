@@ -168,7 +168,7 @@ _DISTANCES = np.geomspace(2e-5, 5e-3, 12)
 
 @dataclass(frozen=True)
 class TwoStep:
-    """Measurements of the two steps, and their seconds of motion."""
+    """Gravity torques and inertias measured at operating points, and the duration of the motions [s]."""
 
     measurements: tuple[Measurement, ...]
     duration: float

@@ -537,7 +537,7 @@ def _in_records(pieces: Iterable[bytes]) -> Iterator[int]:
         while offset + 9 <= len(waiting):
             kind, length = struct.unpack_from("<BQ", waiting, offset)
             if length < _IN_CHUNK.get(kind, 1 << 64):
-                raise ValueError(f"a record of kind {kind} and {length} bytes in a chunk")
+                raise ValueError(f"a record of kind {kind} in a chunk has only {length} bytes")
             offset += 9 + length
         skipped = max(offset - len(waiting), 0)
         waiting = waiting[offset:]
@@ -550,7 +550,7 @@ def _in_bag(file: Path) -> Iterator[int]:
         while len(word := stream.read(4)) == 4:
             length, = struct.unpack("<I", word)
             if length > _PIECE:
-                raise ValueError(f"a record's header of {length} bytes")
+                raise ValueError(f"a record's header has {length} bytes, more than {_PIECE}")
             head = stream.read(length)
             length, = struct.unpack("<I", stream.read(4))
             begin = stream.tell()

@@ -1,4 +1,4 @@
-"""The closing loop: find, add, run again, keep or reject, with the rule by which a change is kept."""
+"""``close-loop``: find what the model lacks, add it, run again, keep or reject it; and the rule for keeping it."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _rms(deviation: Array) -> float:
 ROUNDS = 4
 """Of finding and trying, at most: a camera that is wrong by some percent is found with some percent of that left."""
 MODEL = "extended_model.json"
-"""Of the model in the folder of a closing."""
+"""File of the extended model in the output folder."""
 SHARES_OF_ROUND = {"finding": 0.7, "trying": 0.15, "asking": 0.15}
 """Measured shares of a round's time."""
 _LEFT = 0.4
@@ -190,7 +190,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Found:
-    """The result of a motion: the diagnosis (None where the missing part was measured), and the changes to try."""
+    """The result of a motion: the diagnosis (None where what is missing was measured), and the changes to try."""
 
     diagnosis: Diagnosis | None
     recording: Recording
@@ -199,7 +199,7 @@ class Found:
 
 
 class Subject(ABC, Generic[R]):
-    """Interface by which a kind of scene runs, diagnoses and measures for the closing loop."""
+    """Interface of a kind of scene to ``close-loop``: it runs its motion, diagnoses the model and measures errors."""
 
     unit, scale = "mm", 1e3
     """Of the measured error as it is told, and what it is times the SI unit."""
@@ -252,7 +252,7 @@ class Subject(ABC, Generic[R]):
 
 @dataclass
 class Closed(Generic[R]):
-    """Present state of a closing: the model, its run, every trial, and the last findings.
+    """Present state of ``close-loop``: the model, its run, every trial, and the last findings.
 
     ``first`` is the deciding error with the original model [SI].
     """

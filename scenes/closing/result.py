@@ -1,4 +1,4 @@
-"""The result of a closing: errors before and after, every trial, what is kept and why the rest is not."""
+"""The result of ``close-loop``: errors before and after, every trial, what is kept and why the rest is not."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from scenes.result import ShownTable
 from scenes.scene_files.scene import Scene
 
 SHARES = {"before": 0.05, "rounds": 0.6, "oracle": 0.15, "report": 0.2}
-"""Measured shares of a closing's time."""
+"""Measured shares of the time that ``close-loop`` takes."""
 _COLOURS = {"before": "#b0413e", "after": "#2f6690", "tracker": "#8893a1", "oracle": "#8893a1"}
 """Of each play in the figure; one without is not drawn."""
 _ANSWERS = {"before": "before", "after": "after", "tracker": "with a tracker's arm angles",
@@ -40,13 +40,13 @@ _ANSWERS = {"before": "before", "after": "after", "tracker": "with a tracker's a
 
 @dataclass(frozen=True)
 class Words:
-    """The words by which a kind of scene reports a closing.
+    """Names, titles and captions in the report of ``close-loop`` for a kind of scene.
 
     Attributes:
         errors: key of the runs' errors in the JSON.
         error: name of a run's error, with its unit; ``judged``: name of the deciding error.
         columns: titles of the table of runs.
-        as_it_was: name of the first run.
+        as_it_was: name of the run with the original model.
         caption, decides: caption of the table of runs, and description of the deciding error.
         axes: titles of the figure's axes, and its caption; none without a figure.
     """
@@ -82,7 +82,7 @@ class Played:
 
 @dataclass(frozen=True, repr=False)
 class Closing(ShownTable):
-    """The result of a closing.
+    """The result of ``close-loop``: a model that is extended by what a diagnosis finds, and its runs.
 
     Attributes:
         undeclared: effects that the world holds and the model does not know.
@@ -117,7 +117,7 @@ class Closing(ShownTable):
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """The first diagnosis; None where the missing part was measured."""
+        """The first diagnosis; None where the missing part of the model was measured instead."""
         return self.closed.found[0].diagnosis
 
     def refusals(self) -> list[str]:
@@ -168,7 +168,7 @@ class Closing(ShownTable):
               for step in self.steps]]
 
     def page(self) -> Report:
-        """The HTML page of the closing."""
+        """The HTML page of the result."""
         page = Report(f"{self.scene.title or self.scene.name}: the loop closed", self.answer())
         page.heading("Before and after")
         page.table(*self.table(), self.words.caption)
@@ -219,7 +219,8 @@ class Closing(ShownTable):
         return dataclasses.replace(self, model_path=folder / MODEL, report=folder / "report.html")
 
 
-# Shared parts of closings of an arm: its measurements, a motion at several speeds, and the measured tool position.
+# Parts of ``close-loop`` that kinds of scenes share: measurements of the arm, a motion at several speeds, and the
+# measured tool position.
 
 _STEPS = 80
 """Cycles of the way from the end of one speed to the start of the next."""

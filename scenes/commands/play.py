@@ -77,8 +77,8 @@ class RunOptions(PlayedScene):
             return None
         error = length(self.tolerance, "--tolerance")
         if not isinstance(scene, LineScene):
-            raise InputError(f"scenes of kind {scene.kind} have no tolerance", field="--tolerance",
-                             value=self.tolerance)
+            raise InputError(f"only scenes of kind line have a tolerance, not of kind {scene.kind}; leave it out",
+                             field="--tolerance", value=self.tolerance)
         if self.speed is not None:
             raise InputError("chooses the speed itself: leave --speed out", field="--tolerance", value=self.tolerance)
         return error

@@ -50,7 +50,7 @@ def inspection_page(found: Inspection, robot: Robot, then: tuple[str, str]) -> R
 
 
 def ranges_table(found: Inspection) -> tuple[list[str], list[list[Any]]]:
-    """Titles and rows of the ranges."""
+    """Column titles and rows: least and most value of each column, beside the permitted range."""
     return (["column", "least", "most", "allowed from", "to", "unit", "fits"],
             [[one.column, one.least, one.most, *(value if np.isfinite(value) else None
                                                  for value in (one.low, one.high)),

@@ -94,7 +94,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
 
 def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, ...] = (), measured: str = "tcp",
            out: Path | None = None, progress: Progress = silent) -> Closing:
-    """Closes the loop for given true errors, which may be none.
+    """``close-loop`` on a line with given true errors of camera and arm, which may be none.
 
     Args:
         scene: the scene.

@@ -264,7 +264,7 @@ class LiveForce:
         return samples
 
     def take(self, t: float) -> list[WrenchSample]:
-        """Samples since the last call of cycles that ended by ``t`` [s]; ``arrived`` returns them as well."""
+        """New samples of the cycles that ended by ``t`` [s]; the next ``arrived`` returns them as well."""
         samples = self._due(t)
         # Where this program was blocked, packets have arrived that the thread has not read yet.
         while self._quiet(t) and self._more_is_read():

@@ -150,7 +150,7 @@ class PathResult(ShownRun):
 
     @property
     def errors(self) -> PathErrors:
-        """Errors of the true TCP, three ways."""
+        """Errors of the true TCP: time-matched, aligned in time, and geometric."""
         return self.played.errors
 
     @property

@@ -82,7 +82,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
 
 def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], *, oracle: Feedforward | None = None,
            rounds_at_most: int = ROUNDS, out: Path | None = None, progress: Progress = silent) -> Closing:
-    """Closes the loop on an arm that is already set up, also one without a scene file.
+    """``close-loop`` on an arm that is already set up, also one without a scene file.
 
     Args:
         scene: the scene with the path.
@@ -124,7 +124,7 @@ def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], 
 
 
 class ArmOnPath(Subject[Play]):
-    """A path and its arm, as the subject of a closing.
+    """A path and its arm, whose model ``close-loop`` extends.
 
     Args:
         cell: path, arm and the model as it was.
@@ -210,7 +210,7 @@ class ArmOnPath(Subject[Play]):
         return self._suggested(self.plan.diagnosis, self.plan.recording)
 
     def section(self, page: Report) -> None:
-        """Adds the sections about diagnostic motions to the page of the closing."""
+        """Adds the sections about diagnostic motions to the page of the result."""
         if self.plan is not None:
             page.heading("The motion that the diagnosis asked for")
             page.table(["cause", "or", "recorded σ", "planned σ", "distinguishable"], self.plan.table(),
@@ -241,7 +241,7 @@ def carried(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
 
 
 def doubts_of(loads: tuple[FittedEffect, ...]) -> tuple[float, ...]:
-    """Relative errors of the deflection by added loads that have to be assumed if only motor angles are measured."""
+    """Relative errors to assume for the gear deflection under added loads where only motor angles are measured."""
     if not loads:
         return (0.0,)
     doubt = min(float(np.hypot(_DOUBT_OF_GEARS, max(doubt_of_load(load) for load in loads))), 1.0)

@@ -68,7 +68,7 @@ class Bound:
 
     @property
     def remark(self) -> str:
-        """A remark about the bound besides whether it is kept."""
+        """Why the answer is uncertain: failed runs, a single seed, or too few seeds for the scatter; else empty."""
         if self.failed:
             return f"{self.failed} of {self.seeds + self.failed} runs gave no figure: {self.why}"
         if self.seeds == 1:

@@ -64,7 +64,7 @@ def markdown(comparison: Comparison) -> str:
 
 
 def bounds_table(comparison: Comparison) -> tuple[list[str], list[list[Any]]]:
-    """Column titles and rows of the bounds."""
+    """Column titles and rows: each bound on a figure's mean, the mean, and whether the bound is kept."""
     return (["case", "bound on the mean", "limit", "mean", "deviation", "seeds", "result", "remark"],
             [[b.case, b.figure, b.limit, b.mean, b.deviation, b.seeds, Verdict("kept" if b.kept else "missed"),
               b.remark] for b in comparison.bounds])

@@ -29,7 +29,7 @@ _RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
 
 
 class Case(Table):
-    """Runs of a suite, in all combinations."""
+    """Runs of a suite: all combinations of scenes, seeds, speeds, arms and methods; and bounds on their figures."""
 
     scenes: tuple[str, ...] = pydantic.Field(min_length=1)
     """Names of scenes, or paths of scene files as seen from the suite's folder."""
@@ -58,7 +58,7 @@ class Case(Table):
 
 
 class SuiteFile(Table):
-    """Keys of a suite file."""
+    """Keys of a suite file: the cases that are run, and the figures that are compared with a baseline."""
 
     title: str
     """What the suite is for, on one line."""

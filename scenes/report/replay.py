@@ -357,7 +357,7 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
 def _floats(values: Array) -> Array:
     """Returns the values; ValueError where they are no float64, for which the limit of memory was checked."""
     if values.dtype != np.float64:
-        raise ValueError(f"numbers of type {values.dtype}")
+        raise ValueError(f"expected numbers of type float64, not {values.dtype}")
     return values
 
 

@@ -57,7 +57,7 @@ class CycleTest:
 
 @dataclass(frozen=True)
 class HeldCycles:
-    """The results for all cycle times.
+    """The results of the test whether this computer keeps up, for all cycle times.
 
     Attributes:
         tests: one a cycle.
@@ -85,7 +85,7 @@ class HeldCycles:
                      "failure": t.failure} for t in self.tests]}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row per cycle time."""
+        """Column titles, and one row per cycle time."""
         rows = [[t.cycle_ms, "yes" if t.held else "no", f"{1e2 * t.late:.2f}", *_spread(t.delays_ms).values()]
                 for t in self.tests]
         return ["cycle ms", "held", "late %", "answer after, median ms", "99 %", "worst"], rows
@@ -111,7 +111,9 @@ class HeldCycles:
 def held_cycles(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
                 core: int | None = None, seconds: float = 4.0, cycles_ms: tuple[int, ...] = CYCLES_MS,
                 progress: Progress = silent) -> HeldCycles:
-    """Commands rest to a separate process that sends packets in real time, for each cycle time.
+    """Tests for each cycle time whether this computer answers a simulated controller in time.
+
+    The controller is a separate process that sends packets in real time; the answers command an arm at rest.
 
     Args:
         robot: shipped robot or URDF; the one the model names if None, the kr6 where no model is given either.

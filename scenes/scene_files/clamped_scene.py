@@ -48,7 +48,7 @@ class ClampTable(Table):
 
 
 class ClampedScene(Scene):
-    """A clamped scene."""
+    """Keys of a scene in which the flange is clamped and the motors deflect the gears."""
 
     worlds: ClassVar[tuple[str, ...]] = (BENCH,)
     robot: str = "kr500"

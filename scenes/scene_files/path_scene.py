@@ -43,7 +43,7 @@ class Figure(Table):
 
 
 class Paper(Table):
-    """The paper's results for this path, for the table."""
+    """Error reductions that a paper publishes for this path, by method; reports show them beside the measured ones."""
 
     E_car_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)
     E_max_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)

@@ -65,7 +65,7 @@ def grown(lab: Lab, points: Array, width: float, direction: Array) -> Array:
         lab: of ``lab_picture``.
         points: of the path ``(n, 2)`` [px], at equal distances, ``n`` at least 8.
         width: of the line [px].
-        direction: of colour, scaled so that inside less sides is 1 along it ``(3,)``.
+        direction: in colour space, scaled so that the contrast between line and background is 1 along it ``(3,)``.
     """
     image = np.asarray(cv2.transform(lab.astype(np.float32), (COLOR * direction)[None].astype(np.float32)),
                        dtype=np.float32)

@@ -77,7 +77,7 @@ def _beyond(points: Array, others: Array, width: float) -> bool:
 
 
 def apart(one: Strip, other: Strip) -> bool:
-    """Whether most of a line lies beside another."""
+    """Whether less than half of a line's points lie on another line."""
     return share_on(one.points, other.points, float(np.median(other.widths))) < 0.5
 
 

@@ -134,7 +134,7 @@ class JointTorques:
 
     @staticmethod
     def of(links: pin.Model, inertia: Array) -> JointTorques | None:
-        """The torques' computation for an arm; None where PyBullet's joints get the drive torques unchanged.
+        """Makes an arm's ``JointTorques``; None where PyBullet's joints get the drive torques unchanged.
 
         Args:
             links, inertia: see the class.

@@ -345,10 +345,10 @@ class World:
     def from_table(cls, robot_name: str, table: dict[str, Any], file: str | None = None) -> World:
         """The default world changed by a scene's ``[world]`` table.
 
-        ``ideal = true`` starts from the ideal one, ``cell = true`` from the cell's. Its table ``spread`` gives standard
-        deviations of unmeasured keys, of their logarithms (of ``velocity_feedforward`` itself); ``individual`` is the
-        seed of their values. Raises ``InputError`` for an unknown key (named, with the allowed ones), a wrong type, a
-        value out of range.
+        ``ideal = true`` starts from the ideal world, ``cell = true`` from that of a production cell. Keys in the table
+        ``spread`` are random: it gives standard deviations of their logarithms (of ``velocity_feedforward`` itself),
+        and ``individual`` is the seed. Raises ``InputError`` for an unknown key (named, with the allowed ones), a wrong
+        type, a value out of range.
 
         Args:
             robot_name: of a shipped robot, or the path of a URDF.

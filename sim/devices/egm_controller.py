@@ -140,7 +140,7 @@ def sensor_joints(message: bytes) -> Array | None:
 
 def _bytes(value: int | float | bytes) -> bytes:
     if not isinstance(value, bytes):
-        raise TypeError("expected a message")
+        raise TypeError("expected a field with bytes, as of an embedded message")
     return value
 
 
@@ -250,7 +250,7 @@ class EgmController:
                 sent = [message] if self.disturbance is None else self.disturbance(k, message)
                 end = time.perf_counter() + (self.arm.t_ipo if self.timeout is None else self.timeout)
                 sent_when_open(link, sent, end, self._stopped.is_set)
-                # With its own clock it listens whatever it has sent.
+                # Without ``timeout`` each cycle lasts its real time, and answers to earlier messages may arrive in it.
                 wanted = self.answer(link, end) if sent or self.timeout is None else None
                 if self._stopped.is_set():
                     run.ended = "stopped"
