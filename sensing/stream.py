@@ -220,8 +220,6 @@ class StreamConnection:
 def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, int]:
     """Host and port of ``//host:port``; raises ``InputError`` for another form.
 
-    host:port``; raises ``InputError`` for another form.
-
     Args:
         rest: the address without its scheme and the colon.
         field: name of the setting that holds the address, for error messages.

@@ -282,9 +282,9 @@ class Guard:
             yield q_c
 
     def steps(self, rows: Array, *beside: Array) -> Iterator[tuple[Array, ...]]:
-        """As ``along``; each command comes with the rows of ``beside (N, …)`` at its place.
+        """Yields commands along ``rows`` as ``along`` does, each with the rows of ``beside (N, …)`` at its place.
 
-        While the arm is paused these are the rows of its place.
+        While the arm is paused, these stay the rows of the place at which it stands.
         """
         k = 0
         while k < len(rows):

@@ -34,7 +34,7 @@ REVERSAL = (0.288, 0.06)
 
 @dataclass(frozen=True)
 class Lags:
-    """Ranges of past and future samples in the sums.
+    """Ranges of past and future samples in the sums of the trained feedforward, [G] (12).
 
     Few positions and torques, as more fit the training motion no better and other paths worse. Many past signs, as the
     effect of a reversal on the controller's integrator lasts some 0.3 s.

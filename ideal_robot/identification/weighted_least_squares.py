@@ -70,7 +70,7 @@ def weighted_least_squares(W: Array, y: Array, start: Array, information: Array,
         segments: ``(M,)`` number of the recording each sample comes from: the correlation of its residuals from sample
             to sample enlarges the covariance. Residuals are assumed white if None.
         nonnegative: ``(P,)`` parameters that may not be negative.
-        variance: ``(M, n)`` variance known variance of each sample in addition to its channel's noise level, in the
+        variance: ``(M, n)`` known variance of each sample in addition to its channel's noise level, in the
             square of y's unit.
         regions: rows of similar motion: model errors there do not average out over time, and disagreement of the
             regions enlarges the covariance.

@@ -228,7 +228,7 @@ class Subject(ABC, Generic[R]):
         """
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: R) -> tuple[list[int], str]:
-        """Indices of the forms to run, the most promising first, and why there are none.
+        """Indices of the forms to run, the most promising first; and why none is run, if there are none.
 
         Args:
             forms: of one change.

@@ -97,7 +97,7 @@ def replays_of(course: Course, folders: Sequence[Path]) -> list[tuple[str, KeptR
 
 
 def picture(history: History) -> Figure:
-    """Figure over versions, one panel per history, those that are worse first."""
+    """Figure of path errors over the program's versions, one panel per case, those that became worse first."""
     import matplotlib.pyplot as plt
 
     courses = [*history.worse, *(course for course in history.courses if course not in history.worse)][:_MOST]

@@ -96,7 +96,8 @@ class StreamCamera:
         description = self._connection.described
         if description is None or len(description.payload) != _CAMERA.size:
             self.close()
-            raise InputError("the device at this address is no camera of this stream format", field="camera", value=f"{host}:{port}")
+            raise InputError("the device at this address is no camera of this stream format", field="camera",
+                             value=f"{host}:{port}")
         self.width, self.height, self.rate, *numbers = _CAMERA.unpack(description.payload)
         self.K: Array = np.array(numbers[:9]).reshape(3, 3)
         self.distortion: Array = np.array(numbers[9:])
