@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, special
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array
@@ -36,10 +36,10 @@ LATE = (0.0, 0.006, 0.015, 0.03, 0.08, 0.16)
 """Latenesses that are tried first [s]."""
 REQUIRED = 8.0
 """Log density that a term has to add [nats], as in the score's study of causes; one of forty adds 4 by chance."""
-_PER_TIME = 3.5
-"""Log density that each time of a shape costs: half the logarithm of a thousandfold range."""
 _RESOLVED = 2e-3
-"""Of ``q_c - q``, what noise counts as at least: what a controller does beyond that changes no path of a user's."""
+"""Share of ``q_c - q`` above which residuals of two laws differ: a smaller difference is negligible for a path."""
+_FLOOR = 5e-4
+"""Share of ``q_c - q`` that is added to the noise as white noise, as no law describes a controller exactly."""
 _PRIOR = 10.0
 """Standard deviation of a term's contribution before anything is measured, over that of ``q_c - q``."""
 _REFINED = 2
@@ -48,6 +48,22 @@ _FOLDS = 4
 """Quarters of the recordings, of which every other one is predicted from the rest."""
 _WINDOW = 12
 """Rows over which what a law leaves is squared: a tenth to a half of a second."""
+_TIMES = ("late", "reset", "time", "a_1", "a_2", "a_i")
+"""Attributes of a shape that the search varies."""
+_SPREAD = 3.0
+"""Prior standard deviation of a time's logarithm, and of the lateness in units of ``_LATER``."""
+_LATER = 0.02
+"""Lateness that is equivalent to a change of a time's logarithm by one [s]."""
+_REACH = 1.5
+"""Range of a search about its start, in the same unit: beyond the next time of the grid."""
+_LEAST = 1e-9
+"""Distance of a bound from a start on it."""
+_FAR = 1e3
+"""Residual of each whitened row for an impossible shape."""
+_FED_FORWARD = 0.01
+"""Start value of the time of velocity feedforward [s]."""
+_RATE = Column("velocity")
+"""Its coefficient is not negative behind a smoothing or with velocity feedforward: a loop does not lead."""
 _POWERS = (1, 2)
 """Of a joint's position about its middle, which gains may follow."""
 
@@ -108,6 +124,7 @@ class JointRows:
         # An empty row between intervals, so that the noise restarts.
         self.use = np.concatenate([np.append(np.ones(len(s.rows), dtype=bool), False) for s in stretches])
         self.blocks = blocks_of([len(s.rows) for s in stretches])
+        self.longest = max(float(t[-1]) for t in self.t)
         self.noise = ColouredNoise(np.zeros((1, 0)), np.ones(1))
         self.size = 1.0
         self._columns: dict[tuple[tuple[float, ...], Column], Array] = {}
@@ -167,12 +184,14 @@ class JointRows:
         self.size = max(float(np.std(y[self.use])), 1e-12)
         left = y - X / size @ np.linalg.lstsq(X / size, y, rcond=1e-9)[0]
         noise = ColouredNoise.fit(left, self.use)
-        self.noise = noise.scaled(max(1.0, _RESOLVED * self.size / noise.std))
+        covariance = noise.autocovariance(noise.order)
+        covariance[0] += (_FLOOR * self.size) ** 2
+        self.noise = ColouredNoise.of_autocovariance(covariance)
         self._white.clear()
 
-    def score(self, shape: Shape, columns: Sequence[Column]) -> float:
-        """Score of a law, with the cost of its times."""
-        return self.products(shape, columns).score() - _PER_TIME * shape.times
+    def has(self, shape: Shape) -> bool:
+        """Whether a controller can have the shape: its poles decay, and no time is longer than the recordings."""
+        return shape.longest < self.longest and shape.stable
 
     def products(self, shape: Shape, columns: Sequence[Column]) -> Products:
         """Products of whitened columns in each block."""
@@ -182,7 +201,11 @@ class JointRows:
         *white, right = self.noise.whiten(np.column_stack([*new.values(), self.right(shape)]), self.use).T
         self._white |= {key: (w, float(np.sqrt(np.mean(x**2)))) for (key, x), w in zip(new.items(), white, strict=True)}
         prior = [_PRIOR * self.size / max(self._white[key][1], 1e-30) for key in keys]
-        return Products(np.column_stack([*(self._white[key][0] for key in keys), right]), self.blocks, np.array(prior))
+        follows = shape.time or shape.a_1
+        positive = np.array([not column.posture and (column.of.yields or bool(follows and column == _RATE))
+                             for column in columns])
+        return Products(np.column_stack([*(self._white[key][0] for key in keys), right]), self.blocks, np.array(prior),
+                        positive)
 
     def forget(self) -> None:
         """Clears the cache of a finished search."""
@@ -200,25 +223,43 @@ class Products:
         rows: whitened columns and right side ``(M, m + 1)``.
         blocks: of each row, rising ``(M,)``.
         prior: prior standard deviations of the coefficients ``(m,)``.
+        positive: whether the coefficient of a column cannot be negative ``(m,)``.
     """
 
-    def __init__(self, rows: Array, blocks: Array, prior: Array) -> None:
+    def __init__(self, rows: Array, blocks: Array, prior: Array, positive: np.ndarray) -> None:
+        self.rows = rows
         edges = np.searchsorted(blocks, np.arange(BLOCKS + 1))
         parts = [rows[a:b] for a, b in pairwise(edges)]
         self.G = np.stack([part.T @ part for part in parts])
         self.whole = self.G.sum(axis=0)
         self.precision = np.diag(1.0 / prior**2)
+        self.positive = positive
 
     def score(self, columns: Sequence[int] | None = None) -> float:
         """Log density of all rows, block after block predicted from those before."""
         m = len(self.precision)
         own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
         whole = np.append(own, m)
-        return evidence(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+        score = evidence(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+        where = self.positive[own]
+        if np.any(where):
+            # The prior is the positive half of a normal distribution.
+            given = self.solution(list(own))
+            score += float(np.sum(special.log_ndtr(given.mean[where] / given.std[where]) + np.log(2.0)))
+        return score
 
     def without(self, blocks: np.ndarray) -> Posterior:
         """Coefficients given all but these blocks."""
         return posterior(np.delete(self.G, blocks, axis=0).sum(axis=0), self.precision)
+
+    def left(self) -> Array:
+        """Residuals of the rows with the best coefficients, then these over their prior deviations ``(M + m,)``."""
+        mean = self.solution().mean
+        below = self.positive & (mean < 0.0)
+        if np.any(below):
+            mean = np.zeros(len(mean))
+            mean[~below] = self.solution(list(np.flatnonzero(~below))).mean
+        return np.append(self.rows[:, -1] - self.rows[:, :-1] @ mean, mean * np.sqrt(np.diag(self.precision)))
 
     def likelihood(self) -> float:
         """Log density of all rows with the best-fitting coefficients: faster than the score, for start values."""
@@ -364,22 +405,41 @@ def _searched(joint: JointRows, kinds: Sequence[Controller]) -> list[_Found]:
     for kind in kinds:
         core = tuple(Column(name) for name in ("offset", *kind.core))
         for name, smoothing in SMOOTHINGS.items():
-            best = None
-            for time in smoothing.times or (0.0,):
-                for late, reset, poles in itertools.product(
-                        LATE if name == "none" else LATE[::2], RESET_TIMES if kind.integrator else (None,),
-                        kind.poles or ((0.0, 0.0, 0.0),)):
-                    shape = Shape(reset, late, name, time, *poles)
-                    score = joint.products(shape, core).likelihood() - _PER_TIME * shape.times
-                    if best is None or score > best.score:
-                        best = _Found(score, kind, shape, core)
-            assert best is not None
-            starts.append(best)
-    starts.sort(key=lambda found: -found.score)
-    # The best kinds are refined without and with smoothing, as between the tried times either may look worse.
-    refined = [start for start in starts if start.shape.smoothing == "none"][:_REFINED]
-    refined += [start for start in starts if start.shape.smoothing != "none"][:1]
-    return sorted((_refined(joint, start) for start in refined), key=lambda found: -found.score)
+            shapes = (Shape(reset, late, name, time, *poles) for time, late, reset, poles in itertools.product(
+                smoothing.times or (0.0,), LATE if name == "none" else LATE[::2],
+                RESET_TIMES if kind.integrator else (None,), kind.poles or ((0.0, 0.0, 0.0),)))
+            starts.append(max((_Found(joint.products(shape, core).likelihood(), kind, shape, core)
+                               for shape in shapes), key=lambda found: found.score))
+    plain = _best([start for start in starts if not start.shape.time])
+    # The grid of times is coarse, so each smoothing is tuned before the best are chosen.
+    smoothed = _best([_tuned(joint, start) for start in starts if start.shape.time])
+    smoothed += [other for found in smoothed if (other := _exchanged(joint, found))]
+    refined = [_refined(joint, start) for start in (*plain, *smoothed)]
+    joint.forget()
+    return sorted(refined, key=_earned, reverse=True)
+
+
+def _best(laws: Sequence[_Found]) -> list[_Found]:
+    """The laws to refine."""
+    return sorted(laws, key=_earned, reverse=True)[:_REFINED]
+
+
+def _earned(found: _Found) -> float:
+    """Score that compares kinds and shapes: integrator, smoothing and each pole have to add ``REQUIRED``, as a term."""
+    return found.score - REQUIRED * found.shape.members
+
+
+def _exchanged(joint: JointRows, found: _Found) -> _Found | None:
+    """The law with the time constants of smoothing and position loop exchanged; None without a position loop.
+
+    In slow motion a lag and a position loop differ by little else than the response to torques.
+    """
+    if _RATE not in found.columns:
+        return None
+    slow = float(joint.products(found.shape, found.columns).solution().mean[found.columns.index(_RATE)])
+    if slow <= 0.0:
+        return None
+    return dataclasses.replace(found, shape=dataclasses.replace(found.shape, time=slow / found.shape.filter.delay))
 
 
 def _judged(joint: JointRows, found: _Found) -> FittedJoint:
@@ -468,14 +528,21 @@ def variances(missed: Sequence[Array], stretches: Sequence[Stretch], j: int) -> 
 
 def _refined(joint: JointRows, found: _Found) -> _Found:
     """Times and terms by the score, in turns."""
-    found = _tuned(joint, dataclasses.replace(found, score=joint.score(found.shape, found.columns)))
+    found = _tuned(joint, found)
     for _ in range(2):
-        before = found.columns
-        found = _tuned(joint, _selected(joint, found))
-        if found.columns == before:
+        before = found
+        found = _tuned(joint, _selected(joint, _fed_forward(joint, found)))
+        if found.columns == before.columns and found.shape.members == before.shape.members:
             break
-    joint.forget()
     return found
+
+
+def _fed_forward(joint: JointRows, found: _Found) -> _Found:
+    """The law with velocity feedforward, if that raises the score as required."""
+    if found.shape.a_1:
+        return found
+    more = _tuned(joint, dataclasses.replace(found, shape=dataclasses.replace(found.shape, a_1=_FED_FORWARD)))
+    return max(found, more, key=_earned)
 
 
 def _selected(joint: JointRows, found: _Found) -> _Found:
@@ -506,7 +573,7 @@ def _selected(joint: JointRows, found: _Found) -> _Found:
             if less > score - REQUIRED:
                 own, score, removed = rest, less, True
                 break
-    return _Found(score - _PER_TIME * shape.times, found.kind, shape, tuple(pool[k] for k in own))
+    return _Found(score, found.kind, shape, tuple(pool[k] for k in own))
 
 
 def _best_addition(products: Products, shape: Shape, pool: Sequence[Column], own: Sequence[int], score: float
@@ -519,27 +586,31 @@ def _best_addition(products: Products, shape: Shape, pool: Sequence[Column], own
 
 
 def _tuned(joint: JointRows, found: _Found) -> _Found:
-    """The times of the shape with the best score about those given, one after the other."""
-    best = found
-    for width in (1.0, 0.3):
-        for name in ("late", "reset", "time", "a_1", "a_2", "a_i"):
-            middle = getattr(best.shape, name)
-            if middle is None or (middle == 0.0 and name not in ("late", "a_1")):
-                continue
-            # Delay and fed-forward velocity may start at zero.
-            low, high = ((max(middle - 0.012 * width, 0.0), middle + 0.012 * width) if name == "late" else
-                         (max(middle - 0.03 * width, 0.0), middle + 0.03 * width) if name == "a_1" else
-                         (middle * np.exp(-0.6 * width), middle * np.exp(0.6 * width)))
+    """The law with the times of its shape that fit best, near those given, and with its score.
 
-            def lost(x: float, name: str = name, start: _Found = best) -> float:
-                changed: dict[str, Any] = {name: x}
-                shape = dataclasses.replace(start.shape, **changed)
-                return -joint.score(shape, start.columns) if shape.stable else 1e300
+    A lag, a lateness and a reset time have similar effects, so all are varied at once: nonlinear least squares of the
+    whitened rows, with the best coefficients for each shape (variable projection). Only the lateness may start at zero.
+    The score includes the cost of the times, their Gaussian prior against their precision (Laplace).
+    """
+    names = [name for name in _TIMES if getattr(found.shape, name) or name == "late"]
+    start = np.array([getattr(found.shape, name) for name in names])
+    late = np.array(names) == "late"
 
-            tried = optimize.minimize_scalar(lost, bounds=(low, high), method="bounded",
-                                             options={"xatol": 0.02 * (high - low), "maxiter": 7})
-            if -tried.fun > best.score + (REQUIRED if middle == 0.0 else 0.0):
-                found_time: dict[str, Any] = {name: float(tried.x)}
-                best = dataclasses.replace(best, score=-float(tried.fun),
-                                           shape=dataclasses.replace(best.shape, **found_time))
-    return best
+    def shape(x: Array) -> Shape:
+        own = np.where(late, np.maximum(start + _LATER * (x - 1.0), 0.0), start * np.exp(x - 1.0))
+        times: dict[str, Any] = {name: float(time) for name, time in zip(names, own, strict=True)}
+        return dataclasses.replace(found.shape, **times)
+
+    def left(x: Array) -> Array:
+        tried = shape(x)
+        if not joint.has(tried):
+            return np.full(len(joint.use) + len(found.columns), _FAR)
+        return joint.products(tried, found.columns).left()
+
+    # Variables start at one, as difference steps are relative.
+    low, high = np.where(late, 1.0 - start / _LATER - _LEAST, 1.0 - _REACH), np.full(len(names), 1.0 + _REACH)
+    best = optimize.least_squares(left, np.ones(len(names)), bounds=(low, high), diff_step=1e-4, max_nfev=20, ftol=1e-4,
+                                  xtol=1e-5)
+    known = np.linalg.slogdet(np.eye(len(names)) + _SPREAD**2 * best.jac.T @ best.jac)[1]
+    tuned = shape(best.x)
+    return dataclasses.replace(found, shape=tuned, score=joint.products(tuned, found.columns).score() - 0.5 * known)

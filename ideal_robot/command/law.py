@@ -102,9 +102,14 @@ class Shape:
         return self.late + self.filter.late * self.time
 
     @property
-    def times(self) -> int:
-        """Number of time parameters of the shape."""
-        return sum(bool(value) for value in (self.reset, self.late, self.time, self.a_1, self.a_2, self.a_i))
+    def longest(self) -> float:
+        """The longest of its times [s]."""
+        return max(self.reset or 0.0, self.late, self.time, self.a_1, float(np.sqrt(self.a_2)), self.a_i)
+
+    @property
+    def members(self) -> int:
+        """Number of parts: integrator, smoothing and own poles."""
+        return sum(bool(value) for value in (self.reset, self.time, self.a_1, self.a_2, self.a_i))
 
     @property
     def poles(self) -> tuple[Array, Array]:

@@ -28,8 +28,9 @@ class Term:
         integrated: whether it passes the integrator's filter.
         torque, bodies: whether it needs the motors' torque, and the arm's bodies.
         same: the term without an integrator that it is the same as where there is none.
-        moves: whether it depends on the motion alone and has no integrator: a gain of a position loop. The others
-            represent a torque.
+        moves: whether it is of the motion alone and passes no integrator: a gain of a position loop. The others stand
+            for a torque.
+        yields: whether its coefficient is a compliance, which is positive.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Term:
     bodies: bool = False
     same: str = ""
     moves: bool = False
+    yields: bool = False
 
 
 TERMS: dict[str, Term] = {term.name: term for term in (
@@ -50,11 +52,11 @@ TERMS: dict[str, Term] = {term.name: term for term in (
     Term("integrated_velocity", lambda m: m.qd, integrated=True, same="velocity"),
     Term("integrated_acceleration", lambda m: m.qdd, integrated=True, same="acceleration"),
     Term("integrated_direction", lambda m: m.direction, integrated=True, same="direction"),
-    Term("torque", lambda m: m.torque, integrated=True, torque=True),  # type: ignore[arg-type, return-value]
+    Term("torque", lambda m: m.torque, integrated=True, torque=True, yields=True),  # type: ignore[arg-type, return-value]
     Term("torque_rate", lambda m: m.torque_rate, integrated=True, torque=True),
     Term("gravity", lambda m: m.gravity, integrated=True, bodies=True),
     Term("coriolis", lambda m: m.coriolis, integrated=True, bodies=True),
-    Term("bodies", lambda m: m.body, integrated=True, bodies=True),
+    Term("bodies", lambda m: m.body, integrated=True, bodies=True, yields=True),
     Term("bodies_rate", lambda m: m.body_rate, integrated=True, bodies=True),
     Term("free_acceleration", lambda m: m.free_acceleration[0], integrated=True, torque=True, bodies=True),
     Term("free_fall", lambda m: m.free_acceleration[1], integrated=True, torque=True, bodies=True),
