@@ -18,6 +18,7 @@ from ideal_robot.command.fit import Stretch, probabilities, tones, variances
 from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Rival, Shape, _weights, error_parts
 from ideal_robot.command.motion import Motion
 from ideal_robot.command.recorded import command_cycle, moving_at_start, update_instants
+from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
@@ -143,6 +144,22 @@ def test_a_cascade_is_recovered(seed: int) -> None:
         total = own.coefficient("velocity") + own.shape.a_1 + own.shape.late + own.shape.filter.delay * own.shape.time
         assert total == pytest.approx(1.0 / gain + 0.006, rel=0.05)
         assert "P/PI cascade" in described(own)
+        assert own.residual < 5e-3 * own.deviation
+
+
+@pytest.mark.parametrize(("seed", "time"), [(1, 0.13), *(
+    pytest.param(seed, time, marks=pytest.mark.slow) for seed in (2, 3) for time in (0.09, 0.2))])
+def test_a_lag_before_a_cascade_is_recovered(tmp_path: Path, seed: int, time: float) -> None:
+    """A lag and a position loop are alike in slow motion: each keeps its own time."""
+    arm = robot(tmp_path)
+    plain = recorded(arm, cascade, late=0.006, seed=seed)
+    q_c = plain.joints("q_c")
+    shown = Recording.from_arrays(plain.t, q_c=SMOOTHINGS["lag"].before(q_c, DT, time), q=plain.joints("q"),
+                                  tau=plain.joints("tau"))
+    for own, gain in zip(identify_command([shown], Model.nominal(arm), torque=True).joints, GAINS, strict=True):
+        assert own.shape.smoothing == "lag"
+        assert own.shape.time == pytest.approx(time, rel=0.1)
+        assert own.coefficient("velocity") + own.shape.late == pytest.approx(1.0 / gain + 0.006, rel=0.1)
         assert own.residual < 5e-3 * own.deviation
 
 
