@@ -33,7 +33,7 @@ def _identified(robot_name: str, **options: Any) -> Model:
     return identified_model(robot_name, **options)[0]
 
 
-PROCEDURE = 16
+PROCEDURE = 17
 """Counts the ways in which models have been prepared; another one makes kept models void."""
 
 
