@@ -121,7 +121,7 @@ class RowLog:
 
     @property
     def kept(self) -> int:
-        """Number of rows for which there is memory."""
+        """Capacity: number of rows that fit into the memory reserved so far."""
         return _PIECE * len(self._pieces)
 
     def reserve(self, count: int) -> None:

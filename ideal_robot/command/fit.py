@@ -35,7 +35,7 @@ RESET_TIMES = (0.015, 0.04, 0.1, 0.3)
 LATE = (0.0, 0.006, 0.015, 0.03, 0.08, 0.16)
 """Latenesses that are tried first [s]."""
 REQUIRED = 8.0
-"""Log density that a term has to add [nats], as in the score's study of causes; one of forty adds 4 by chance."""
+"""Log density that a term has to add [nats]; by chance one term of forty adds 4."""
 _RESOLVED = 2e-3
 """Share of ``q_c - q`` above which residuals of two laws differ: a smaller difference is negligible for a path."""
 _FLOOR = 5e-4
@@ -47,7 +47,7 @@ _REFINED = 2
 _FOLDS = 4
 """Quarters of the recordings, of which every other one is predicted from the rest."""
 _WINDOW = 12
-"""Rows over which what a law leaves is squared: a tenth to a half of a second."""
+"""Rows of a window in which squared residuals are averaged: a tenth to a half of a second."""
 _TIMES = ("late", "reset", "time", "a_1", "a_2", "a_i")
 """Attributes of a shape that the search varies."""
 _SPREAD = 3.0
@@ -55,7 +55,7 @@ _SPREAD = 3.0
 _LATER = 0.02
 """Lateness that is equivalent to a change of a time's logarithm by one [s]."""
 _REACH = 1.5
-"""Range of a search about its start, in the same unit: beyond the next time of the grid."""
+"""Range of a search to either side of its start, in logarithms of a time: it reaches beyond the next start."""
 _LEAST = 1e-9
 """Distance of a bound from a start on it."""
 _FAR = 1e3
@@ -78,8 +78,8 @@ class Stretch:
 
     Attributes:
         motion: measured, with the torques that the law is fitted with.
-        used: the same with the torques that it is used with, the identified model's.
-        unseen: ``used`` by models that each of the two folds was not identified from.
+        used: the same with the identified model's torques, which are those that commands are made with.
+        unseen: ``used`` for each of the two folds, with the torques of a model identified without that fold.
         command: as it was handed over ``(N, n)`` [rad].
         measured: positions without the low-pass ``(N, n)`` [rad].
         noise: standard deviation of one of them ``(n,)`` [rad].
@@ -253,7 +253,11 @@ class Products:
         return posterior(np.delete(self.G, blocks, axis=0).sum(axis=0), self.precision)
 
     def left(self) -> Array:
-        """Residuals of the rows with the best coefficients, then these over their prior deviations ``(M + m,)``."""
+        """Residuals of a least-squares problem at its solution: the rows', then coefficients over prior deviations.
+
+        Their squares add up to what the best coefficients minimise, ``(M + m,)``; coefficients that would be negative
+        and cannot be are zero.
+        """
         mean = self.solution().mean
         below = self.positive & (mean < 0.0)
         if np.any(below):
@@ -281,7 +285,7 @@ def blocks_of(counts: Sequence[int]) -> Array:
 
 
 def folds(blocks: Array) -> Array:
-    """Number of the fold, of two, of each block ``(M,)``: alternately a few long intervals of time."""
+    """Fold, 0 or 1, of each row's block ``(M,)``: the folds alternate over a few long intervals of time."""
     return blocks * _FOLDS // BLOCKS % 2
 
 
@@ -383,7 +387,7 @@ def tones(motions: Sequence[Motion], j: int) -> int:
 def _servo(joint: JointRows, found: _Found) -> Servo | None:
     """The joint as PD control, by the measured torque; None where that leaves more than the best law by torques does.
 
-    What a law leaves counts on rows that it was not fitted to, and from what changes a user's path.
+    Residuals are compared on rows that neither was fitted to; a difference too small to change a path is ignored.
     """
     if joint.stretches[0].motion.bodies is None:
         return None
@@ -430,7 +434,7 @@ def _earned(found: _Found) -> float:
 
 
 def _exchanged(joint: JointRows, found: _Found) -> _Found | None:
-    """The law with the time constants of smoothing and position loop exchanged; None without a position loop.
+    """The law whose smoothing has the lag of its position loop, as a new start; None without a position loop.
 
     In slow motion a lag and a position loop differ by little else than the response to torques.
     """
@@ -463,7 +467,7 @@ def _judged(joint: JointRows, found: _Found) -> FittedJoint:
 
 def _held_out(source: JointRows, predicted: Sequence[JointRows], shape: Shape, columns: Sequence[Column]
               ) -> tuple[float, Array, Posterior]:
-    """What coefficients from one source leave of other rows that they were not fitted to.
+    """Residual of a law on rows that its coefficients were not fitted to.
 
     Args:
         source, predicted: rows that coefficients come from, and those that they predict in each fold.
@@ -503,7 +507,9 @@ def with_error(fitted: FittedJoint, stretches: Sequence[Stretch], j: int, respon
 
 
 def variances(missed: Sequence[Array], stretches: Sequence[Stretch], j: int) -> Array:
-    """Variances ``(PARTS,)`` [rad²] of a position's error by the parts of ``error_parts``; none negative.
+    """Coefficients ``(PARTS,)`` of a position's error variance [rad²] in the regressors of ``error_parts``.
+
+    A non-negative fit of the mean squared error in short windows by the parts' means in them.
 
     Args:
         missed: the error at each stretch's rows ``(M,)`` each [rad].

@@ -138,7 +138,7 @@ class Shape:
         return _discrete(self, dt)
 
 
-# All terms of a law use its filters in turn, over intervals with different sampling rates.
+# Cached: every term of a law asks for the same filters, for each sampling rate of its recordings.
 @lru_cache
 def _discrete(shape: Shape, dt: float) -> tuple[Array, Array]:
     num, den = shape.poles

@@ -157,7 +157,7 @@ class BestSet:
         return ["W", *[c.key for c in self.choices]]
 
     def _refresh(self) -> None:
-        """Noise, levels and fit of the present set."""
+        """Estimates the noise of each channel, its colour and its level, and fits the present set."""
         self._wide: dict[str, Array] = {}
         measured = self.regression.measured * self.regression.use
         self.system.add("measured", Columns(measured[:, :, None], tuple(range(self.system.c))))
@@ -383,7 +383,7 @@ class BestSet:
         for round_ in range(MOST):
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             best = self._best()
-            # Noise and levels are computed for each set: a set that recurs ends the search.
+            # The noise and its level are computed for each set: a set that recurs ends the search.
             if best is None or (places := frozenset(c.place for c in self.choices)) in seen:
                 break
             seen.add(places)
@@ -394,7 +394,7 @@ class BestSet:
         return self.choices
 
     def take(self, choices: list[Candidate]) -> None:
-        """Accepts a set, with its noise and levels."""
+        """Makes a set the present one; the colour and level of each channel's noise are estimated anew for it."""
         self.choices = choices
         self._refresh()
 
@@ -519,11 +519,11 @@ class BestSet:
         return gone is not None
 
     def taken_out(self, gains: Callable[[list[list[Candidate]]], Sequence[float]], least: float) -> Candidate | None:
-        """Removes the cause with the least gain from the set and returns it; None if that is at least ``least``.
+        """Removes the cause with the least gain from the set and returns it; None if every gain is at least ``least``.
 
         Args:
             gains: by how much the set is better than each of the sets without one of its causes.
-            least: see above.
+            least: gain that every cause of the set should have [nats].
         """
         rests = [[c for c in self.choices if c is not choice] for choice in self.choices]
         gained = gains(rests)
@@ -541,7 +541,7 @@ class BestSet:
                 before = self.choices
                 if self.better([*rest, other.candidate], before) > 1.0:
                     self.take([*rest, other.candidate])
-                    # Noise and levels are those of each set, and both have to say so.
+                    # Each set has its own noise: the exchange has to be better with that of either.
                     if self.better(self.choices, before) > 0.0:
                         return True
                     self.take(before)
@@ -625,7 +625,7 @@ class BestSet:
         other._refresh()
         return other
 
-    # Numbers.
+    # Coefficients of a set, their uncertainty, and what they predict.
 
     def fit_of(self, choices: Sequence[Candidate]) -> Estimate:
         """Coefficients of a set fitted together with the model's parameters, without their uncertainty."""

@@ -1,9 +1,12 @@
 """Candidates for causes: an effect at a joint with its shapes, and the cost of naming it.
 
-    ln prior(S) = −Σ_c [ ln(candidates) + ln(starts) + ½ ln(1000) per physical shape + what its effect says ]
+    ln prior(S) = −Σ_c [ ln(candidates) + ln(starts) + ½ ln(1000) per physical shape − prior of its effect ]
 
-A cause is one of all candidates, at one of the tried starts of its shapes; the prior of each shape is about thirty
-times as wide as its uncertainty.
+The sum is over the causes c of a set S. A cause is one of all candidates. A shape is a nonlinear parameter of an effect
+(``theta``), such as a gap or a time constant; the prior of each physical one is about thirty times as wide as its
+uncertainty. A start is one of the values from which the fit of the shapes begins; each of them was one more chance to
+explain noise. The prior of an effect is its log odds against other effects (``Effect.prior``): tools are often changed,
+links hardly ever.
 """
 
 from __future__ import annotations

@@ -37,7 +37,18 @@ from ideal_robot.estimate.score import standard_error
 
 @dataclass(frozen=True)
 class DomainResult:
-    """Results of one domain for the diagnosis."""
+    """Results of one domain for the diagnosis.
+
+    Attributes:
+        channels: errors of each channel before and after.
+        found: causes that are large enough to be reported.
+        before, remaining: strongest dependences of the residual on signals, without causes and with the best set.
+        traces: names of the channels, and their series for plots.
+        arguments: why each reported cause is in the set.
+        small: effects of the set that are fitted but too small to be reported.
+        gone: causes that another recording contradicts, in words.
+        perhaps: causes that cannot be distinguished from no cause, in words.
+    """
 
     channels: tuple[ChannelResult, ...]
     found: tuple[FoundEffect, ...]
@@ -56,13 +67,13 @@ class DomainDiagnosis:
 
     Attributes:
         best: the best set of causes, with the candidates.
-        final: its numbers.
+        final: coefficients of that set, with their uncertainty.
         arguments: why each cause is in the set.
         named: indices, from 0, of the causes that are large enough to be reported.
         gone: causes that the validation recording contradicts.
         perhaps: causes that cannot be distinguished from no cause.
         validation: the regression of the validation recording, or None.
-        given: whether the model was given, so that "before" is the model as it was.
+        given: whether the model was given; "before" then has its parameters, else parameters fitted to this recording.
         source: hash of the recording.
     """
 
@@ -133,7 +144,7 @@ class DomainDiagnosis:
         return self.residual(self.choices)
 
     def result(self) -> DomainResult:
-        """Errors, effects with their numbers, and dependences of the residual."""
+        """Errors of each channel, reported causes with their numbers, and dependences of the residual on signals."""
         reported = self.reported
         before, after = reported.y * reported.use if self.given else self.without_any, self._rms(self.with_all)
         # The noise floor is that of the residual's band, and a part of the residual.
@@ -198,7 +209,7 @@ def _without_needless(best: BestSet, gains: Callable[[list[list[Candidate]]], Se
     Args:
         best: the search.
         gains: by how much the set is better than each of the sets without one of its causes.
-        least: see above.
+        least: gain that every cause should have [nats].
     """
     gone: list[Candidate] = []
     while best.choices and (choice := best.taken_out(gains, least)) is not None:
@@ -207,10 +218,10 @@ def _without_needless(best: BestSet, gains: Callable[[list[list[Candidate]]], Se
 
 
 def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Candidate, ...]:
-    """Causes that leave the best set, for with them another recording is predicted worse than without them.
+    """Takes causes out of the best set with which another recording is predicted worse; returns them.
 
-    That is the recording as a whole, or the channel of the cause; or any channel is predicted worse by the set than by
-    the model alone, with odds as of a cause.
+    First those without which the whole recording, or their own channel, is predicted better. Then, as long as the model
+    alone clearly predicts any channel better than the set does, the cause without which that channel gains most.
     """
     if validation is None:
         return ()
@@ -223,16 +234,16 @@ def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Cand
 
     gone = _without_needless(best, gains, 0.0)
     while best.choices and (worse := _predicted_worse(best, validation)) is not None:
-        # That leaves without which this channel is predicted best.
+        # Removed is the cause without which this channel is predicted best.
         choice = best.taken_out(partial(_in_channel, best, validation, worse), np.inf)
         gone += () if choice is None else (choice,)
     return gone
 
 
 def _predicted_worse(best: BestSet, validation: Regression) -> int | None:
-    """The channel (from 0) of another recording that the model alone predicts better than the best set, most clearly.
+    """The channel (from 0) of another recording that the model alone predicts most clearly better than the best set.
 
-    None where no channel's odds are those of a cause.
+    None where no channel has the odds that a cause needs, ``LEAST_ODDS``.
     """
     odds = [WeighedSet("", 0, -float(gain.sum()), standard_error(gain)).moderated
             for gain in _densities(best, validation, [[]])[0].T]
@@ -241,7 +252,7 @@ def _predicted_worse(best: BestSet, validation: Regression) -> int | None:
 
 
 def _in_channel(best: BestSet, validation: Regression, j: int, sets: Sequence[Sequence[Candidate]]) -> list[float]:
-    """See ``_densities``. Of a whole channel (from 0)."""
+    """Nats by which the best set predicts a channel (from 0) better than each of some sets; see ``_densities``."""
     nats: list[float] = _densities(best, validation, sets)[:, :, j].sum(axis=1).tolist()
     return nats
 
@@ -265,7 +276,7 @@ def _densities(best: BestSet, validation: Regression, sets: Sequence[Sequence[Ca
 
 
 def _not_told_from_nothing(best: BestSet) -> tuple[Candidate, ...]:
-    """Causes that leave the best set, for the odds against nothing in their place are low beside their error."""
+    """Takes causes out of the best set whose odds against no cause are low for their standard error; returns them."""
     return _without_needless(best, lambda rests: [_weighed(best, rest)[0].moderated for rest in rests], LEAST_ODDS)
 
 
@@ -287,11 +298,11 @@ def _weighed(best: BestSet, instead: Sequence[Candidate], other: Candidate | Non
 # The argument why a cause is in the best set.
 
 def argument(best: BestSet, own: Candidate) -> Argument:
-    """The sets with one of the best set's causes replaced or removed, each with its loss in score.
+    """Why a cause is in the best set: the score of the sets in which others, or none, take its place.
 
     Args:
         best: the search that has run.
-        own: of its choices.
+        own: the cause, one of the best set.
     """
     rest = [c for c in best.choices if c is not own]
     others: list[Candidate | None] = [None]
@@ -356,7 +367,7 @@ def _ranked_structure(best: BestSet, residuals: Sequence[Array]) -> list[tuple[S
 # Parameters at a bound of the search.
 
 def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) -> FittedEffect:
-    """The effect with limits, and no standard deviation, for parameters whose theta stands at its bound.
+    """The effect whose parameters are limits (≤ or ≥), without standard deviation, where theta is at a bound.
 
     Args:
         fitted, candidate: its numbers, and their theta.

@@ -136,7 +136,8 @@ class BacklashInFlight(GearEffect):
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """Start values of theta within the physical bounds; see ``Effect.starts``.
 
-        Gaps by their crossing times, constant loads near zero and near the whole constant torque.
+        For each of several crossing times, the gap that the load crosses in that time. Each with several constant
+        loads: zero, a small share of the load's variation to either side, and the one that cancels the constant torque.
         """
         load = self._crossing_load(signals, joint)
         size = float(np.std(load)) + 1e-12

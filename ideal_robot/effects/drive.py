@@ -118,7 +118,8 @@ class AxisCoupling(Effect):
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """Start values of theta within the physical bounds; see ``Effect.starts``.
 
-        Every neighbouring axis, both senses; a coupling of both joints is named after the higher-numbered one.
+        Each partner axis at most two joints away, in both senses, acts on this joint alone. A partner with a lower
+        number is tried on both joints, too: such a coupling is named after the higher-numbered joint.
         """
         return [(float(i), sense, sides) for i in range(1, signals.n + 1) if i != joint and abs(i - joint) <= 2
                 for sense in (1.0, -1.0) for sides in ((1.0, 2.0) if joint > i else (1.0,))]
@@ -252,7 +253,8 @@ class CommonDelay(WholeArmEffect, LateTorque):
 class TorqueFilter(CommonDelay):
     """Common first-order lag of all recorded torques: ``T dtau/dt + tau = tau_model``.
 
-    The column is ``(tau(T) - tau_model)/T``, exact where theta has become the time constant.
+    The column is ``(tau(T) - tau_model)/T`` with theta as ``T``. It is exact once theta equals the coefficient, the
+    time constant.
     """
 
     prior = -2.0  # Every lag is a delay that also damps fast signals, so the simpler delay is more likely.

@@ -85,7 +85,7 @@ class Degressive(LawTerm):
     theta_names = ("a_4",)
     theta_units = ("s/rad",)
     coefficient_names = ("a_3",)
-    # The friction curve rises and then flattens.
+    # The coefficient is positive: the friction curve rises and then flattens.
     within = (0.0, np.inf)
     standstill = 1
     discriminating_motion = (("viscous", "constant-velocity runs over the whole range of speeds"),)

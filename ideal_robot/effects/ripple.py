@@ -159,8 +159,9 @@ class TransmissionError(TorqueRipple):
 
 def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float, float],
                    peaks: int = 3) -> tuple[list[float], int]:
-    """Orders at the highest peaks of a residual's spectrum over position, and the number of periods in the band.
+    """Orders at the highest peaks of a residual's spectrum over position, and how many orders were candidates.
 
+    Orders that differ by less than one period over the driven range are not distinguishable and make one candidate.
     The residual is summed in narrow bins of position; the Fourier transform of those sums is that of the residual at
     the (unevenly spread) positions.
 

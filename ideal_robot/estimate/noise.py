@@ -19,8 +19,8 @@ from ideal_robot.arrays import Array
 ORDER = 4
 """Order of the autoregression. Orders 1 to 10 name the same causes in 48 recordings of a fourth engine."""
 PASSES = 2
-"""Of expectation and maximisation, from white noise. Where columns leave few rows, more of them follow what the noise
-extrapolates itself."""
+"""Iterations of expectation and maximisation, from white noise. Where there are hardly more rows than columns, further
+iterations would follow the noise's own prediction of what the columns hide."""
 _LARGEST_REFLECTION = 0.98
 """Of a partial autocorrelation: noise that lasts longer is drift, of which a recording holds too few periods."""
 _OUTLIER = 5.0
@@ -29,11 +29,11 @@ _OUTLIER = 5.0
 
 @dataclass(frozen=True)
 class Free:
-    """Columns that may hold anything, of which no noise is to be estimated.
+    """Columns with free coefficients: what a residual has along them may be signal, so it is no evidence of noise.
 
     Attributes:
         columns: orthonormal ``(N, k)``, zero in rows that are not used.
-        products: with themselves at lags 0 to p ``(k, k)`` each.
+        products: of the columns with themselves shifted by 0 to p rows ``(k, k)`` each.
     """
 
     columns: Array
@@ -41,7 +41,7 @@ class Free:
 
     @classmethod
     def of(cls, columns: Array, order: int = ORDER) -> Free:
-        """Orthonormal columns ``(N, k)``, for noise of an order."""
+        """The columns, orthonormal ``(N, k)``, with their products for autoregressive noise of an order."""
         pairs = (_apart(columns, lag) for lag in range(order + 1))
         return cls(columns, tuple(later.T @ earlier for later, earlier in pairs))
 
@@ -72,12 +72,12 @@ class ColouredNoise:
 
     @classmethod
     def beside(cls, residual: Array, use: np.ndarray, free: Free) -> ColouredNoise:
-        """The noise that a residual shows, of which columns with free coefficients may hold anything.
+        """The noise in a residual beside signals that columns with free coefficients describe.
 
-        What they take of the noise is not in what they leave. They are mostly slow: without it noise would be smaller
-        where it is slow than where it is fast, and whatever is slow would seem certain. So what they take on average is
-        added, by the covariance of their coefficients: the restricted likelihood, by expectation and maximisation
-        from white noise.
+        A fit of the columns removes a part of the noise with the signal. Columns are mostly slow, so the remaining
+        residual alone would show too little slow noise, and slow causes would seem too certain. So the average of the
+        removed part is added, by the covariance of the fitted coefficients. That maximises the restricted likelihood
+        (REML), by expectation and maximisation from white noise.
 
         Args:
             residual: of the channel ``(N,)``, in its unit; what of it is along the columns makes no difference.

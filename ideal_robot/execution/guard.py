@@ -356,7 +356,7 @@ class Guard:
         now, T, small = self._last[1], self._T, probed(self._a_max, self._T)
         begin = max(k - round(LATELY / T), 0)
         nearest = max(begin + int(np.argmin(np.max(np.abs(rows[begin : k + 1] - now), axis=1))) - 1, 0)
-        # Places so close to each other that the slow begin has several of them.
+        # Interpolated so finely that several places lie within the slow begin of the motion.
         part = rows[nearest : nearest + round(_RAMPS / T) + 2]
         fine = int(np.clip(np.ceil(np.max(np.abs(np.diff(part, axis=0)), initial=0.0) / (0.25 * small)), 1, FINEST))
         places = np.arange(fine * (len(part) - 1) + 1) / fine

@@ -67,9 +67,11 @@ class Past:
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
         measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
         wanted: desired motor positions of the last cycles ``(L, n)`` [rad].
-        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q``, ``q_c - q`` and whether a joint moves
-            ``(2, 7, n)`` [rad, rad/s].
-        filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
+        lags: outputs ``(2, 7, n)`` [rad, rad/s] of the two equal low-passes in series. Each filters seven quantities:
+            ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f`` of the module's equation, ``wanted - q``, ``q_c - q``, and one
+            where a joint moves, else zero.
+        filters: each joint's states ``(2, 2, k)`` of the filters in its law: first for the terms of motion, then for
+            those of torque; of either first the direct terms, then the integrated ones.
         cycle: measurements so far.
         led: whether this feedforward made the last command; cycles commanded by others are not used.
     """

@@ -9,9 +9,9 @@ of rows in units of the channel's coloured noise. P is wide: masses are known wi
 inertia only in their sign. So a URDF with guessed masses accuses nobody, while what the joints share, a body that two
 of them carry, tells an exchanged, turned or rescaled torque from a true one.
 
-The size of the noise is the one with which the hypothesis explains the channel best, at least what a rigid body cannot
-say of any arm. What other parameters would leave is no noise: a motion of three seconds has fewer rows than there are
-parameters, some of which fit every row.
+The size of the noise is the one with which the hypothesis explains the channel best, but not smaller than the part of
+a torque that no rigid-body model explains on any arm. The residual of a fit with free parameters is not used: a motion
+of three seconds has fewer rows than there are parameters, some of which fit every row.
 
 A hypothesis H says of each joint which column is its torque, with which sign and in which unit (N m per unit), and in
 which direction gravity acts in the base's frame, or that the controller has taken it out. The search begins with the

@@ -415,7 +415,7 @@ class _JointCascade:
             columns.append(self._added(channel.coupled))
         return np.ascontiguousarray(np.vstack(columns).T)
 
-    # One row per value, so that filters and sums run along contiguous memory.
+    # A row for each signal, a column for each instant, so that filters and sums run along contiguous memory.
 
     def _of_commands(self, low: float, channel: _Channel) -> Array:
         """Position error, rate, their integrals, acceleration and what turns with the rate ``(4..., M)``."""

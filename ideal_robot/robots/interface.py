@@ -280,7 +280,13 @@ class CatchUp:
         self._left, self.active = 0, True
 
     def next(self, wanted: Array) -> Array:
-        """Offset of the coming command ``(n,)`` [rad], for the desired speed ``(n,)`` [rad a cycle]."""
+        """What has to be added to the next desired position to make the next command ``(n,)`` [rad].
+
+        It goes smoothly to zero within some cycles, and is zero from then on.
+
+        Args:
+            wanted: desired speed of that cycle ``(n,)`` [rad a cycle]; the offset uses what it leaves of the limits.
+        """
         if self.active:
             speed, change = np.abs(wanted), np.abs(wanted - self._wanted)
             room = np.clip(self._most - change, 0.25 * self._most, 0.5 * self._most)

@@ -59,7 +59,7 @@ class SmoothSurface(DeviationModel):
         self._powers = np.array(powers)
         self._first_rows = np.ascontiguousarray(self._powers[:, 0])
         spread = solve_continuous_lyapunov(companion, -np.diag(np.eye(n)[-1]))
-        # Stationary covariance, scaled for the slope's.
+        # Stationary covariance of the states, scaled so that the slope has the standard deviation SLOPE.
         self._stationary = spread * (SLOPE / self._rate) ** 2 / spread[1, 1]
         self._first = 0 if across is None else across.size
         self.size = self._first + 2 + n

@@ -220,7 +220,9 @@ class Subject(ABC, Generic[R]):
 
     @abstractmethod
     def readings(self, before: R, after: R, known: Model, model: Model) -> list[tuple[Array, Array]]:
-        """Measured deviations ``(N,)`` or ``(N, c)`` of two runs [SI], in every interpretation that the data permit.
+        """Measured deviations ``(N,)`` or ``(N, c)`` of two runs [SI]: a pair for every reading that the data permit.
+
+        Such as one for each error that the recorded torques of the gears may have.
 
         Args:
             before, after: the runs with the present model and with the changed one.

@@ -332,8 +332,8 @@ def detect(options: DetectOptions) -> None:
     """Finds the line in pictures of your own cell, before anything moves: points, widths, probability, why not.
 
     Width, colour and course of the line are found in the picture, and all pieces of a line that breaks. In a film it is
-    followed; what is lost, found again or another line is said. Exit code 1 where no picture shows a line; 2 where none
-    can be read: one that cannot be beside others is a row.
+    followed; what is lost, found again or another line is said. A picture that cannot be read is a row of the table
+    with the error. Exit code 1 where no picture shows a line; 2 where none can be read.
 
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """

@@ -69,7 +69,7 @@ class Timing:
         return self.simulated / self.wall if self.wall > 0 else float("nan")
 
     def json_ms(self) -> dict[str, Any]:
-        """Median, 99 % and maximum over all cycles, and the medians of both kinds of cycle [ms]."""
+        """Computing time [ms]: median, 99 % and maximum of all cycles; medians with a new field, and without one."""
         return {**spread_ms(self.cycles), "median_with_field": spread_ms(self.cycles[self.with_field])["median"],
                 "median_without_field": spread_ms(self.cycles[~self.with_field])["median"]}
 

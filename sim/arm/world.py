@@ -372,7 +372,7 @@ class World:
     def drawn(self, spread: dict[str, float]) -> World:
         """The world with its uncertain keys drawn for its individual; ``spread`` is described in ``from_table``.
 
-        Raises ``InputError`` for a key that has no size, or a spread that is negative.
+        Raises ``InputError`` for a key that has no value per joint, or a spread that is negative or above 3.
         """
         rng, changed = np.random.default_rng([self.individual, 15485863]), {}
         sizes = {field.name for field in dataclasses.fields(self) if str(field.type) == "PerJoint"}
@@ -381,8 +381,8 @@ class World:
         for name in sorted(spread):
             width = spread[name]
             if name not in sizes or type(width) not in (int, float) or not 0.0 <= width <= 3.0:
-                raise InputError("expected a number from 0 to 3 for a key with a size per joint",
-                                 field=f"world.spread.{name}", value=width)
+                raise InputError("expected a standard deviation from 0 to 3, of a key that has a value for each "
+                                 f"joint: {', '.join(sorted(sizes))}", field=f"world.spread.{name}", value=width)
             value = np.atleast_1d(getattr(self, name))
             off = width * rng.standard_normal(len(value))
             drawn = np.clip(value + off, 0.0, 1.0) if name == "velocity_feedforward" else value * np.exp(off)

@@ -167,11 +167,15 @@ def noise_floor(values: Array, share: float = 1.0) -> Array:
 
 
 def noise_left(residual: Array, use: np.ndarray) -> tuple[Array, Array]:
-    """White noise in a residual ``(N, c)``, and its usual change from sample to sample ``(c,)``.
+    """Two standard deviations ``(c,)`` of the white noise in each channel of a residual, in the channel's unit.
 
-    Both are from third differences of used samples ``(N, c)``, which remove the motion. The first is from their mean
-    square. The second is from their median size, which outliers do not raise: it contains encoder steps, jitter and
-    oscillations at the end of the band, which do not depend on the motion. With too few samples, infinite and zero.
+    Both are from third differences, which remove the motion. The first is from their mean square. The second is from
+    their median size, which outliers do not raise: it contains encoder steps, jitter and oscillations at the end of the
+    band, which do not depend on the motion. With too few samples the first is infinite and the second zero.
+
+    Args:
+        residual: of the channels ``(N, c)``.
+        use: samples of it that are used ``(N, c)``.
     """
     third, whole = np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]
     enough = whole.sum(axis=0) >= FEWEST

@@ -166,7 +166,7 @@ class MotionSearch:
 
 @dataclass(frozen=True)
 class Foresight:
-    """Makes the regressions of motions before they are run.
+    """Predicts, for motions that have not been run, the regression that a diagnosis would make of them.
 
     Attributes:
         case: arguments of the diagnosis: arm, known model, units.
@@ -177,7 +177,14 @@ class Foresight:
     found: Findings
 
     def regression(self, q_c: Array, domain: Domain) -> Regression:
-        """The regression of commands ``(N, n)`` [rad] at the cycles, for the motor torque, an arm angle or the TCP."""
+        """The rows that a diagnosis would fit if an arm exactly like the model ran these commands.
+
+        Effects can be evaluated on its signals, to predict what they would add to each channel.
+
+        Args:
+            q_c: a command for each cycle ``(N, n)`` [rad].
+            domain: whose channels are wanted: motor torques, arm angles or the TCP.
+        """
         recording = self._recording(q_c)
         torque = self.case.torque_regression(recording, self.found.start, reversal_width=self.found.reversal_width,
                                              cutoff=self.found.problem.regression.filtered.cutoff)

@@ -215,7 +215,7 @@ class Problem:
             system, effects: rows in units of their noise, with the effects' columns.
             uncertainty: whether standard deviations are wanted; theta's derivative columns then join the fit.
             inflate: whether a residual that is larger than its noise widens them.
-            more: precisions prior precisions of effects' coefficients ``(m, m)`` by their groups.
+            more: prior precision of each effect's coefficients ``(m, m)``, by the name of its group.
         """
         keys = ["W", *[c.key for c in effects]]
         fitted, places, p = system.posterior(keys, more), system.places(keys), self.regression.W.shape[2]
