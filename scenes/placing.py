@@ -66,7 +66,7 @@ class Place:
 
     Attributes:
         origin, heading: of the surface [m], and about z [deg].
-        length, speed: of the line [m], and that the joints allow with something to spare [m/s].
+        length, speed: of the line [m], and along it [m/s], below what the joints allow.
         tool_mm: length of a tool that keeps the wrist off the surface.
         tool_turn_deg: of tool and camera about the approach axis.
     """

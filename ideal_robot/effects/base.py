@@ -185,7 +185,7 @@ class Effect(ABC):
         return f"{self.channel_prefix}_{joint}" if joint else self.channel_prefix
 
     def complete(self, theta: Theta) -> bool:
-        """Whether ``theta`` is complete, as from a model file of this version."""
+        """Whether ``theta`` has every parameter; one from a model file of an earlier version may lack some."""
         return len(theta) == len(self.theta_names)
 
     def joints(self, signals: Signals) -> Iterator[int]:

@@ -381,8 +381,9 @@ class World:
         for name in sorted(spread):
             width = spread[name]
             if name not in sizes or type(width) not in (int, float) or not 0.0 <= width <= 3.0:
-                raise InputError("expected a standard deviation from 0 to 3, of a key that has a value for each "
-                                 f"joint: {', '.join(sorted(sizes))}", field=f"world.spread.{name}", value=width)
+                raise InputError("expected a standard deviation from 0 to 3" if name in sizes else
+                                 f"not a key that can be random; such keys are {', '.join(sorted(sizes))}",
+                                 field=f"world.spread.{name}", value=width)
             value = np.atleast_1d(getattr(self, name))
             off = width * rng.standard_normal(len(value))
             drawn = np.clip(value + off, 0.0, 1.0) if name == "velocity_feedforward" else value * np.exp(off)
