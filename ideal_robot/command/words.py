@@ -63,8 +63,10 @@ def _controller(law: JointLaw, unit: str) -> list[str]:
     if law.coefficient("free_acceleration") > 0.0:
         return ["inverse dynamics"]
     if law.coefficient("bodies") > 0.0 and shape.reset is not None:
-        parts = ["cascade or PID control"] + ([f"{1.0 / behind:.3g} 1/s"] if behind > 0.0 else [])
-        return [*parts, f"reset time {_ms(shape.reset)}"]
+        # Without torques the share that is fed forward and the gain are not determined separately.
+        fed = shape.a_1 > _SHARE * behind
+        gain = ["velocity fed forward"] if fed else [f"{1.0 / behind:.3g} 1/s"] if behind > 0.0 else []
+        return ["cascade or PID control", *gain, f"reset time {_ms(shape.reset)}"]
     lag = speed + shape.late + shape.filter.delay * shape.time
     return [f"lags by {_ms(lag)}"] if lag > _SHOWN_LATE else ["follows at once"]
 
