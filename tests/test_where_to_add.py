@@ -167,7 +167,7 @@ from ideal_robot.feedforward.registry import methods
 from ideal_robot.friction import law_of
 
 for asked, says in ((lambda: law_of("square"), "key of Drag is 'drag'"),
-                    (library, "LacksDrag is 'drag/tau'"),
+                    (library, "LacksDrag is 'drag/tau'; register it by that name"),
                     (methods, "another method has that name already.*ideal = house.law:Drag"),
                     (methods, "another method has that name already"),
                     (lambda: law_of("none"), "cannot be imported .*no attribute 'Gone'.*none = house"),

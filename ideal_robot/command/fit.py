@@ -28,7 +28,7 @@ from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.terms import TERMS
 from ideal_robot.estimate.gaussian import Posterior, posterior
 from ideal_robot.estimate.noise import ColouredNoise
-from ideal_robot.estimate.score import BLOCKS, evidence, leaves_less
+from ideal_robot.estimate.score import BLOCKS, evidence_of, leaves_less
 
 RESET_TIMES = (0.015, 0.04, 0.1, 0.3)
 """Reset times that are tried first [s]: what controllers of machines and of research arms have."""
@@ -235,16 +235,21 @@ class Products:
         self.precision = np.diag(1.0 / prior**2)
         self.positive = positive
 
-    def score(self, columns: Sequence[int] | None = None) -> float:
-        """Log density of all rows, block after block predicted from those before."""
+    def _of(self, columns: Sequence[int] | None) -> tuple[np.ndarray, Array, Array]:
+        """Indices of some columns ``(k,)``, all if None, their products ``(k + 1, k + 1)`` and prior precision."""
         m = len(self.precision)
         own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
         whole = np.append(own, m)
-        score = evidence(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+        return own, self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)]
+
+    def score(self, columns: Sequence[int] | None = None) -> float:
+        """Log density of all rows, block after block predicted from those before."""
+        own, products, precision = self._of(columns)
+        given = posterior(products, precision)
+        score = evidence_of(given, products, precision)
         where = self.positive[own]
         if np.any(where):
             # The prior is the positive half of a normal distribution.
-            given = self.solution(list(own))
             score += float(np.sum(special.log_ndtr(given.mean[where] / given.std[where]) + np.log(2.0)))
         return score
 
@@ -271,10 +276,8 @@ class Products:
 
     def solution(self, columns: Sequence[int] | None = None) -> Posterior:
         """Coefficients given all blocks."""
-        m = len(self.precision)
-        own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
-        whole = np.append(own, m)
-        return posterior(self.whole[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+        _, products, precision = self._of(columns)
+        return posterior(products, precision)
 
 
 def blocks_of(counts: Sequence[int]) -> Array:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.estimate.gaussian import posterior
+from ideal_robot.estimate.gaussian import Posterior, posterior
 from ideal_robot.tolerances import PRODUCTS
 
 TOLD = 2.0
@@ -31,8 +31,17 @@ def evidence(products: Array, precision: Array) -> float:
         precision: prior precision of the parameters about zero ``(P, P)``; directions without a prior add nothing, so
             only sets with the same such directions are comparable.
     """
-    fitted, b = posterior(products, precision), products[:-1, -1]
-    left = products[-1, -1] - b @ fitted.mean
+    return evidence_of(posterior(products, precision), products, precision)
+
+
+def evidence_of(fitted: Posterior, products: Array, precision: Array) -> float:
+    """Log marginal likelihood as ``evidence``, from a posterior that is already computed.
+
+    Args:
+        fitted: posterior of the parameters, given the products and the precision.
+        products, precision: see ``evidence``.
+    """
+    left = products[-1, -1] - products[:-1, -1] @ fitted.mean
     return float(-0.5 * (left + fitted.logarithm - _log_determinant(precision)))
 
 

@@ -189,7 +189,7 @@ def test_corrections_of_the_pose_are_read_where_the_axes_are_not_corrected(group
 
 @pytest.mark.parametrize(("config", "n", "says"), [
     (pose_config("RKorr", "XYZ"), 6, "all of X, Y, Z, A, B and C"),
-    (pose_config("RKorr"), 7, "six axes; the robot has 7 joints"),
+    (pose_config("RKorr"), 7, "move six axes; the robot has 7 joints"),
     (pose_config("RKorr").replace("DEF_RIst", "DEF_RSol"), 6, "does not send its pose"),
     (pose_config("RKorr").replace('INDX="6" HOLDON="1"', 'INDX="6" HOLDON="0"'), 6, "the same for all"),
 ])
